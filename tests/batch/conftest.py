@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from made.files import EPISODES, encoded, write_lerobot_set
+from made.files import EPISODES, write_lerobot_set
 from made.small_gel import SHAPE, Touch, calibration, image_of, save
 
 COUNT = 4  # images in each folder
@@ -80,9 +80,14 @@ def lerobot(tmp_path, images):
 
 
 @pytest.fixture
-def encode():
-    """Writes a video of frames."""
-    return encoded
+def two_lights(tmp_path):
+    """Two sequences of an untouched gel, the second under a brighter red light; their backgrounds lie among them."""
+    for name, factor in (("a", 1), ("b", np.array([1.1, 1, 1]))):
+        image = np.clip(image_of(None) * factor, 0, 255).astype(np.uint8)
+        (tmp_path / "in" / name).mkdir(parents=True)
+        for one in ("0.png", "rest.png"):
+            save(tmp_path / "in" / name / one, image)
+    return tmp_path / "in"
 
 
 @pytest.fixture

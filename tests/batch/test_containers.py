@@ -1,8 +1,4 @@
-"""A dataset's values become RGB images, or are refused with advice.
-
-The depth of every frame in HDF5 (robomimic's, ALOHA's) and Zarr (diffusion policies') equals that of the same image in
-its own file.
-"""
+"""Frames in HDF5 (robomimic's, ALOHA's) and Zarr (diffusion policies') give the depth of the same images in files."""
 
 import cv2
 import numpy as np
@@ -21,7 +17,6 @@ from gelform.batch.containers import (
 from gelform.batch.inputs import listing_of
 from gelform.errors import DataError
 
-IMAGE = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
 THERE = {
     "data/demo_0/obs/gelsight": ((9, 6, 8, 3), "uint8"),
     "data/demo_1/obs/gelsight": ((7, 6, 8, 3), "uint8"),
@@ -89,9 +84,9 @@ def test_demonstrations_are_sequences_and_give_the_same_depth_as_by_hand(demos, 
     settings = BatchSettings(part_frames=3)
     summary = run_batch(demos, cal, tmp_path / "out", settings, dataset="data/*/obs/gelsight")
     assert (summary.complete, summary.frames, summary.errors) == (True, 10, 0)
-    with np.load(tmp_path / "out/frames/demos.hdf5/data/demo_10/obs/gelsight/000003.npz") as file:
-        truth = gelform.Reconstructor(cal).from_image(images[3]).depth_mm
-        np.testing.assert_array_equal(file["depth_mm"], truth)
+    found = np.load(tmp_path / "out/frames/demos.hdf5/data/demo_10/obs/gelsight/000003.npz")
+    truth = gelform.Reconstructor(cal).from_image(images[3]).depth_mm
+    np.testing.assert_array_equal(found["depth_mm"], truth)
     assert run_batch(demos, cal, tmp_path / "out", settings, dataset="data/*/obs/gelsight").frames == 0
 
 
@@ -127,10 +122,9 @@ def test_channels_in_the_order_of_opencv(h5py, tmp_path, cal, images, compressed
     summary = run_batch(tmp_path / "bgr.h5", cal, tmp_path / "out", settings, **given)
     assert (summary.frames, summary.errors) == (len(images), 0)
     for k, image in enumerate(images):
-        with np.load(tmp_path / f"out/frames/bgr.h5/gel/{k:06d}.npz") as found:
-            np.testing.assert_array_equal(
-                found["depth_mm"], gelform.Reconstructor(cal).from_image(image).depth_mm
-            )
+        truth = gelform.Reconstructor(cal).from_image(image).depth_mm
+        found = np.load(tmp_path / f"out/frames/bgr.h5/gel/{k:06d}.npz")
+        np.testing.assert_array_equal(found["depth_mm"], truth)
     assert run_batch(tmp_path / "bgr.h5", cal, tmp_path / "wrong", **given).errors == len(images)
     assert "--bgr" in (tmp_path / "wrong" / "frames.csv").read_text()
     with pytest.raises(DataError, match="bgr"):
@@ -161,20 +155,12 @@ def test_hdf5_that_cannot_be_is_said(demos, tmp_path):
         listing_of(demos, dataset="data/*/obs/gelsight")
 
 
-def test_a_path_inside_that_leads_out_is_refused(h5py, tmp_path):
-    with h5py.File(tmp_path / "demos.h5", "w") as file:
-        file["data/../../../gel"] = np.zeros((2, 4, 4, 3), dtype=np.uint8)
-    with pytest.raises(DataError, match="leads out of any folder"):
-        listing_of(tmp_path / "demos.h5", dataset="data/*/*/*/gel")
-
-
 def test_frames_that_were_never_written_are_refused_before_they_are_counted(h5py, tmp_path):
     with h5py.File(tmp_path / "bomb.h5", "w") as file:
         file.create_dataset("a", (10**9, 240, 320, 3), "u1", chunks=(1, 240, 320, 3), compression="gzip")
         file.create_dataset("b", (10**9, 64, 64, 3), "u1")
-        file.create_dataset(
-            "c", (3, 20_000, 20_000, 3), "u1", chunks=(1, 20_000, 20_000, 3), compression="gzip"
-        )
+        large = (20_000, 20_000, 3)
+        file.create_dataset("c", (3, *large), "u1", chunks=(1, *large), compression="gzip")
         file["c"].id.write_direct_chunk((0, 0, 0, 0), bytes(3 * 10**6))
         file.create_virtual_dataset("v", h5py.VirtualLayout((10**9, 8, 8, 3), "u1"))
     for name, said in (

@@ -7,23 +7,20 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform import DataError, Frame
 from gelform.batch import run_batch
 from gelform.batch.containers import FilmRef
 from gelform.batch.inputs import (
     Listing,
-    background_of_sequence,
     backgrounds_of,
     frames_of_part,
     listing_of,
     plan_of,
     shard_of,
 )
-from gelform.batch.manifest import read_manifest
-from gelform.errors import DataError
-from gelform.image.frame import Frame
+from gelform.batch.records import read_manifest
 from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.recordings.mcap_writer import McapRecording
-from made.small_gel import image_of, save
 
 NATURAL = ("frame1.png", "frame2.png", "frame10.png", "frame11.png")
 
@@ -62,6 +59,18 @@ def test_the_digest_knows_names_alone(tree):
     assert listing_of(tree).digest != before
 
 
+def test_digests_are_those_that_outputs_already_have(tree):
+    """With others, each output that was begun would be refused, and each of its parts done again."""
+    for path in tree.rglob("*.png"):
+        path.write_bytes(path.name.encode())
+    (tree / "a.h5").write_bytes(bytes(100))
+    episode = FilmRef("a.h5/gel/000001", tree / "a.h5", dataset="gel", offset=3, count=5)
+    listing = Listing(tree, (*listing_of(tree).sequences, episode))
+    assert listing.digest[:8] == "92b21ff9"
+    digests = [part.input_digest()[:8] for part in plan_of(listing, 3, 1)]
+    assert digests == ["439dd6b8", "e5a5f454", "2c7fa515", "2ce2fed2", "6dda209d", "0ee2f627"]
+
+
 def test_nothing_to_do_is_said(tmp_path):
     with pytest.raises(DataError, match=r"No file or folder .*absent. Check the path"):
         listing_of(tmp_path / "absent")
@@ -71,9 +80,7 @@ def test_nothing_to_do_is_said(tmp_path):
 
 
 IMAGES = tuple(f"{k}.png" for k in range(10))
-LISTING = Listing(
-    Path(), (FilmRef("a", Path("a"), IMAGES, count=len(IMAGES)), FilmRef("b.mp4", Path("b.mp4")))
-)
+LISTING = Listing(Path(), (FilmRef("a", Path("a"), IMAGES, count=10), FilmRef("b.mp4", Path("b.mp4"))))
 
 
 @pytest.mark.parametrize("name", ["../up", "demos.h5/data/../../up", "/etc/up", ".."])
@@ -151,27 +158,6 @@ def test_a_recording_with_its_times(tmp_path, images):
     assert found[3][1].time_s == pytest.approx(0.3)
 
 
-def test_the_background_is_the_average_of_the_first_frames(tmp_path, cal):
-    for k in range(3):
-        save(tmp_path / f"{k}.png", image_of(None))
-    for part in parts_of(tmp_path, 2, 2):
-        np.testing.assert_allclose(background_of_sequence(part, 2, cal), image_of(None), atol=1)
-
-
-RED = np.array([1.1, 1, 1])
-
-
-@pytest.fixture
-def two_lights(tmp_path):
-    """Two sequences of an untouched gel, the second under a brighter red light; their backgrounds lie among them."""
-    for name, factor in (("a", 1), ("b", RED)):
-        image = np.clip(image_of(None) * factor, 0, 255).astype(np.uint8)
-        (tmp_path / "in" / name).mkdir(parents=True)
-        for one in ("0.png", "rest.png"):
-            save(tmp_path / "in" / name / one, image)
-    return tmp_path / "in"
-
-
 def table(folder, *rows):
     path = folder / "rest.csv"
     path.write_text("\n".join(("sequence,background", *rows)) + "\n")
@@ -192,28 +178,22 @@ def test_each_sequence_has_the_background_that_the_table_names(two_lights, cal, 
         run_batch(two_lights, cal, tmp_path / "own", background=swapped)
 
 
-def test_a_table_of_windows_names_the_same_files(two_lights, cal):
-    written = table(two_lights, "a,a/rest.png", "b,b/rest.png")
+def test_tables_name_files_as_windows_and_sequences_as_the_batch_write_them(tmp_path):
+    written = table(tmp_path, "a,a/rest.png", "b,b/rest.png")
     own = backgrounds_of(written)
     written.write_text("sequence;background\r\na;a\\rest.png\r\nb;b\\rest.png\r\n")
     assert backgrounds_of(written) == own
+    found = backgrounds_of(table(tmp_path, "'=a,'-b/rest.png", "plain,rest.png")).by_sequence
+    assert found == {"=a": tmp_path / "-b/rest.png", "plain": tmp_path / "rest.png"}
 
 
 def test_a_table_that_names_one_file_for_all_is_that_file(two_lights, cal, tmp_path):
     same = table(two_lights, "a,a/rest.png", "b,a/rest.png")
-    run_batch(two_lights, cal, tmp_path / "one", background=two_lights / "a/rest.png")
+    assert run_batch(two_lights, cal, tmp_path / "one", background=two_lights / "a/rest.png").frames == 3
     run_batch(two_lights, cal, tmp_path / "both", background=same, table="csv")
     kept = [tmp_path / name / "frames/b/0.npz" for name in ("one", "both")]
     assert kept[0].read_bytes() == kept[1].read_bytes()
     assert all(read_manifest(tmp_path / name).background_digest for name in ("one", "both"))
-
-
-def test_a_table_of_backgrounds_reads_names_as_the_batch_writes_them(two_lights):
-    path = table(two_lights, "'=a,'-b/rest.png", "plain,rest.png")
-    assert backgrounds_of(path).by_sequence == {
-        "=a": path.parent / "-b/rest.png",
-        "plain": path.parent / "rest.png",
-    }
 
 
 def test_refused_before_anything_is_written(two_lights, cal, tmp_path):

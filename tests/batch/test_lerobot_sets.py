@@ -7,7 +7,6 @@ import pytest
 
 from gelform.batch import run_batch
 from gelform.batch.containers import (
-    compression_of,
     films_in_lerobot_set,
     is_lerobot_set,
     lerobot_info,
@@ -17,6 +16,7 @@ from gelform.batch.containers import (
 from gelform.batch.inputs import listing_of
 from gelform.errors import DataError
 from gelform.sensors.pictures import image_from_values
+from made.files import encoded
 
 pyarrow = pytest.importorskip("pyarrow", reason="the extra data is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="the extra data is not installed")
@@ -76,10 +76,10 @@ def test_a_pattern_names_files_below_the_set_alone(lerobot, pattern):
             films_in_lerobot_set(root, key)
 
 
-def test_a_video_that_is_cut_off_ends_with_a_reason(lerobot, cal, tmp_path, encode):
+def test_a_video_that_is_cut_off_ends_with_a_reason(lerobot, cal, tmp_path):
     root, frames = lerobot
     (path,) = root.rglob("*.mp4")
-    encode(path, frames[:5])
+    encoded(path, frames[:5])
     summary = run_batch(root, cal, tmp_path / "out", dataset=KEY, table="csv")
     assert (summary.frames, summary.errors) == (9, 4)
     assert "got 5. It is cut off" in (tmp_path / "out/frames.csv").read_text()
@@ -87,11 +87,9 @@ def test_a_video_that_is_cut_off_ends_with_a_reason(lerobot, cal, tmp_path, enco
 
 def test_compression_in_words(lerobot):
     root, _ = lerobot
-    assert compression_of(root, KEY) == ""
     assert listing_of(root, dataset=KEY).warnings == ()
     told = {"video.codec": "av1", "video.pix_fmt": "yuv420p", "video.crf": 30}
     changed(root, features={KEY: {"dtype": "video", "shape": [64, 80, 3], "info": told}})
-    assert compression_of(root, KEY) == "av1 yuv420p crf 30"
     (warning,) = listing_of(root, dataset=KEY).warnings
     assert "av1 yuv420p crf 30, with loss" in warning
     assert "27 um" in warning
@@ -112,16 +110,6 @@ def test_what_cannot_be_is_said(lerobot):
 
 def table(root, number=0):
     return root / f"data/chunk-000/file-{number:03d}.parquet"
-
-
-def test_a_batch_is_that_of_the_video(lerobot, cal, tmp_path):
-    root, _ = lerobot
-    for name, key in (("a", STORED), ("b", KEY)):
-        done = run_batch(root, cal, tmp_path / name, dataset=key, table="csv")
-        assert (done.complete, done.frames, done.errors) == (True, 9, 0)
-    for name in ("episode_000000/000000", "episode_000001/000003", "episode_000002/000001"):
-        kept = [np.load(tmp_path / f"{at}/{name}.npz") for at in (f"a/frames/{STORED}", f"b/frames/{KEY}")]
-        np.testing.assert_array_equal(kept[0]["depth_mm"], kept[1]["depth_mm"])
 
 
 def test_an_image_that_is_damaged_or_absent_is_a_row_with_its_error(lerobot, cal, tmp_path):

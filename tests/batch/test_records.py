@@ -1,7 +1,4 @@
-"""Settings, manifest and records of parts: read back unchanged, invalid ones are refused, damage is found.
-
-The table and the contact sheet at the end show all of them.
-"""
+"""Settings, manifest and records: read back unchanged, invalid ones are refused, damage is found; table and sheet."""
 
 import csv
 import dataclasses
@@ -13,14 +10,17 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.batch import KEPT, run_batch, verify_output
-from gelform.batch.manifest import Manifest, begin, only_run, read_manifest
+from gelform.batch import KEPT, BatchSettings, run_batch, verify_output
 from gelform.batch.outputs.files import OutputFile
 from gelform.batch.records import (
     COLUMNS,
+    Manifest,
     PartRecord,
-    files_of,
+    begin,
+    done_records,
+    only_run,
     outputs_there,
+    read_manifest,
     read_record,
     record_path,
     table_form,
@@ -28,21 +28,26 @@ from gelform.batch.records import (
     write_table,
 )
 from gelform.batch.run import GAP_PX, LABEL_PX, TILE_PX, contact_sheet, sheet_bytes
-from gelform.batch.settings import BatchSettings
 from gelform.errors import DataError
 from made.small_gel import save
 
 
+def rows_of(folder):
+    """The rows of the table as CSV."""
+    with (folder / "frames.csv").open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def shown(sheet):
+    """The pixels of a contact sheet."""
+    return cv2.imdecode(np.frombuffer(sheet, np.uint8), cv2.IMREAD_COLOR)
+
+
 def test_no_cell_of_the_table_is_a_formula(tmp_path):
-    row = dict.fromkeys(COLUMNS, "") | {
-        "sequence": "=cmd|' /C calc'!A0",
-        "frame": "@x",
-        "index": 0,
-        "deepest_mm": -0.5,
-    }
-    write_record(tmp_path, 0, PartRecord("digest", (row,)))
+    names = {"sequence": "=cmd|' /C calc'!A0", "frame": "@x", "index": 0, "deepest_mm": -0.5}
+    write_record(tmp_path, 0, PartRecord("digest", (dict.fromkeys(COLUMNS, "") | names,)))
     write_table(tmp_path, 1, "csv")
-    (line,) = csv.DictReader((tmp_path / "frames.csv").read_text().splitlines())
+    (line,) = rows_of(tmp_path)
     assert (line["sequence"], line["frame"], line["deepest_mm"]) == ("'=cmd|' /C calc'!A0", "'@x", "-0.5")
 
 
@@ -122,7 +127,7 @@ def test_a_manifest_that_cannot_be_read_says_what_to_do(output):
 
 
 def test_who_may_run_together(tmp_path, monkeypatch):
-    monkeypatch.setattr("gelform.batch.manifest.WAIT_S", 0.05)
+    monkeypatch.setattr("gelform.batch.records.WAIT_S", 0.05)
     whole = (1, 1)
     for first, second, together in (
         (whole, whole, False),
@@ -152,17 +157,17 @@ def test_as_written_and_outputs_that_went_or_shrank(tmp_path):
     assert read_record(tmp_path, 1234) == RECORD
     assert RECORD.errors == 1
     record = PartRecord("", (row("0", output="0.npz", bytes=3, sha256="a"), row("1", "no output")))
-    for content, there in ((None, False), (b"abc", True), (b"ab", False)):
-        if content is not None:
-            (tmp_path / "0.npz").write_bytes(content)
-        assert outputs_there(tmp_path, record) is there
+    assert not outputs_there(tmp_path, record)
+    for content in (b"abc", b"ab"):
+        (tmp_path / "0.npz").write_bytes(content)
+        assert outputs_there(tmp_path, record) == (content == b"abc")
 
 
 def test_damage_and_parts_that_are_not_done_are_noticed(tmp_path):
     write_record(tmp_path, 0, RECORD)
-    assert files_of(tmp_path, 1) == ["0.h5"]
+    assert list(done_records(tmp_path, 1)) == [RECORD]
     with pytest.raises(DataError, match=r"Part 1 .* is not done"):
-        files_of(tmp_path, 2)
+        list(done_records(tmp_path, 2))
     whole = record_path(tmp_path, 0).read_bytes()
     for damaged in (whole[:-9], whole.replace(b'"1"', b'"2"'), b""):
         record_path(tmp_path, 0).write_bytes(damaged)
@@ -186,8 +191,7 @@ def recorded(tmp_path):
 
 def test_csv(recorded):
     write_table(recorded, PARTS, "csv")
-    with (recorded / "frames.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(recorded)
     assert [int(one["index"]) for one in rows] == list(range(2 * PARTS))
     assert rows[1]["error"] == "it is empty, so"
     with pytest.raises(DataError, match=rf"Part {PARTS} .* is not done"):
@@ -261,21 +265,19 @@ def test_a_run_that_ended_before_its_table_leaves_none_of_the_parts_before(tree,
 
 def test_where_the_touch_is_it_is_bright(tree, cal, tmp_path):
     run_batch(tree, cal, tmp_path / "out", BatchSettings(part_frames=2))
-    sheet = cv2.imread(str(tmp_path / "out/sheet.png"))
+    content = (tmp_path / "out/sheet.png").read_bytes()
+    sheet = shown(content)
     height = TILE_PX * 64 // 80
     assert sheet.shape == (2 * (height + LABEL_PX + GAP_PX), 6 * (TILE_PX + GAP_PX), 3)  # eight frames
     tile = sheet[:height, :TILE_PX].sum(axis=2)
     assert tile[height * 30 // 64, TILE_PX // 2] > 2 * tile[5, 5]
-    before = (tmp_path / "out/sheet.png").read_bytes()
-    assert sheet_bytes(tmp_path / "out", read_manifest(tmp_path / "out"), cal.mm_per_px) == before
+    assert sheet_bytes(tmp_path / "out", read_manifest(tmp_path / "out"), cal.mm_per_px) == content
 
 
 def test_a_sheet_has_gaps_a_color_bar_and_a_scale():
     """A map of 20 mm, drawn 200 px wide: the longest round length that fits is 2 mm, of 20 px."""
     depth = np.linspace(0, 0.8, 100 * 40).reshape(40, 100)
-    sheet = cv2.imdecode(
-        np.frombuffer(contact_sheet([(depth, "a", "b")] * 2, 0.2), np.uint8), cv2.IMREAD_COLOR
-    )
+    sheet = shown(contact_sheet([(depth, "a", "b")] * 2, 0.2))
     assert (sheet[:, TILE_PX : TILE_PX + GAP_PX] == 90).all()
     assert (sheet[-GAP_PX:] == 90).all()
     bar = sheet[80 + 10, 14 : 14 + 60].astype(int)
@@ -283,32 +285,24 @@ def test_a_sheet_has_gaps_a_color_bar_and_a_scale():
     assert np.abs(bar[-1] - sheet[79, TILE_PX - 1]).max() <= 12
     scale = (sheet[80 + 9, 140:TILE_PX] == 255).all(axis=1)
     assert scale.sum() == 20
-    none = cv2.imdecode(np.frombuffer(contact_sheet([(depth, "a", "b")]), np.uint8), cv2.IMREAD_COLOR)
+    none = shown(contact_sheet([(depth, "a", "b")]))
     assert not (none[80 + 9, 140:TILE_PX] == 255).all(axis=1).any()
 
 
-def test_no_sheet_where_no_depth_was_kept_and_unknown_pixels_are_dark(tree, cal, tmp_path, monkeypatch):
+def test_no_sheet_where_no_depth_was_kept_and_unknown_pixels_are_dark(tree, cal, tmp_path):
     run_batch(tree, cal, tmp_path / "out", BatchSettings(keep=("contact",)))
     assert not (tmp_path / "out/sheet.png").exists()
     depth = np.full((64, 80), np.nan, np.float32)
-    row = {"sequence": "ä", "frame": "0", "deepest_mm": 0.0, "health": ""}
-    monkeypatch.setattr("gelform.batch.run._choose_frames", lambda *_: [(depth, row)])
-    sheet = cv2.imdecode(np.frombuffer(sheet_bytes(tmp_path, None), np.uint8), cv2.IMREAD_COLOR)
-    assert sheet[:100, :TILE_PX].max() < 90
+    assert shown(contact_sheet([(depth, "ä/0", "")]))[:100, :TILE_PX].max() < 90
 
 
 def test_a_frame_of_which_nothing_is_known_has_no_figures(tree, cal, tmp_path, monkeypatch):
     save(tree / "frame1.png", np.full((64, 80, 3), 255, np.uint8))
     tally = run_batch(tree, cal, tmp_path / "out", table="csv").tally
     assert (tally.frames, tally.unknown, tally.doubtful, tally.findings["saturated"]) == (8, 1, 1, 1)
-    with (tmp_path / "out/frames.csv").open(newline="") as file:
-        first, second = list(csv.DictReader(file))[:2]
-    assert (first["frame"], first["deepest_mm"], first["contact_mm2"], first["error"]) == (
-        "frame1",
-        "",
-        "",
-        "",
-    )
+    first, second, *_ = rows_of(tmp_path / "out")
+    assert first["frame"] == "frame1"
+    assert not first["deepest_mm"] + first["contact_mm2"] + first["error"]
     assert first["health"]
     assert float(second["deepest_mm"]) > 0.1
     texts = []

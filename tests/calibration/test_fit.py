@@ -34,7 +34,7 @@ from gelform.calibration_file import calibration_from_contents
 from gelform.image.view import View
 from gelform.result.metrics import press_errors
 from gelform.simulate import LAYOUTS, Ball, Punch, simulate_ball_presses, simulate_press
-from gelform.simulate.gel import ball_press, surface_from_indenter
+from gelform.simulate.gel import Gel, ball_press, surface_from_indenter
 from gelform.slopes.color_models import COLOR_MODELS
 from gelform.slopes.color_models.forward_response import RIDGES
 from made.images import halved

@@ -14,8 +14,6 @@ import gelform
 
 torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
 
-pytest.importorskip("torch", reason="needs the extra 'torch'")
-
 from gelform.torch import Reconstruct  # noqa: E402
 
 
@@ -33,7 +31,8 @@ def images(simulated):
 
 def calibration_of(name, request):
     """That of the shared presses, whose forward response takes a step; without it; or with an image that is undone first."""
-    made = request.getfixturevalue("lambertian_calibration" if name == "lambertian" else "calibration")
+    other = {"lambertian": "lambertian_calibration", "polynomial": "polynomial_calibration"}
+    made = request.getfixturevalue(other.get(name, "calibration"))
     if name == "without_a_step":
         return replace(made, forward=replace(made.forward, step_sigma=None))
     if name == "without_a_response":
@@ -50,7 +49,8 @@ def calibration_of(name, request):
 
 
 @pytest.mark.parametrize(
-    "name", ["auto", "lambertian", "crosstalk", "deep", "without_a_step", "without_a_response"]
+    "name",
+    ["auto", "lambertian", "polynomial", "crosstalk", "deep", "without_a_step", "without_a_response"],
 )
 def test_it_is_the_numpy_path(request, name, images):
     calibration = calibration_of(name, request)
@@ -62,15 +62,6 @@ def test_it_is_the_numpy_path(request, name, images):
     for k, one in enumerate(expected):
         np.testing.assert_allclose(found.depth_mm[k, 0], one.depth_mm, atol=tolerance * peak)
         np.testing.assert_allclose(found.gradients[k].permute(1, 2, 0), one.observed_gradients, atol=3e-4)
-
-
-def test_polynomial_is_the_numpy_path(polynomial_calibration, images):
-    calibration = polynomial_calibration
-    expected = gelform.Reconstructor(calibration, solver="dct").from_image(images[0])
-    found = Reconstruct(calibration)(batch_of(images[:1]))
-    np.testing.assert_allclose(
-        found.depth_mm[0, 0], expected.depth_mm, atol=1e-4 * np.abs(expected.depth_mm).max()
-    )
 
 
 @pytest.mark.parametrize("name", ["auto", "deep", "without_a_step"])
@@ -88,7 +79,9 @@ def test_derivatives_are_those_of_differences(request, name, images):
     """Of a sum of depths with random weights, along random changes of the image, in double precision."""
     module = Reconstruct(calibration_of(name, request), compensate_exposure=False).double()
     generator = torch.Generator().manual_seed(0)
-    image = batch_of(images[:1]).double().requires_grad_()
+    image = (
+        batch_of(images[1:2]).double().requires_grad_()
+    )  # in the first, a median changes its sample at once
     weights = torch.randn(image.shape[2:], generator=generator, dtype=torch.float64)
     (slope,) = torch.autograd.grad((module(image).depth_mm * weights).sum(), image)
     for _ in range(3):

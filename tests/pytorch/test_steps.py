@@ -1,11 +1,4 @@
-"""Medians over chosen pixels equal those of the kernel.
-
-The color change of a batch equals that of the numpy path: blur, response, crosstalk and exposure.
-
-Color models as modules read the gradients that the models themselves read.
-
-Steps of a batch equal those of the numpy path at every pixel, and have exact derivatives.
-"""
+"""Each step of a batch equals the numpy path's: medians, color change, color models, step, depth; derivatives are exact."""
 
 from types import SimpleNamespace
 
@@ -13,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.depth import coarse as stepped
+from gelform.depth import coarse
 from gelform.depth.coarse import CoarseDepth
 from gelform.depth.solvers.dct import DctSolver
 from gelform.errors import CalibrationError
@@ -32,13 +25,13 @@ from gelform.slopes.color_models.least_squares import node_positions
 torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
 
 from gelform.torch.steps import (  # noqa: E402
+    CoarseDepth,
     ColorChange,
     ForwardStep,
     PoissonDepth,
-    TorchFrameDepth,
-    block_shares,
     gradients_module,
     medians_where,
+    planes,
 )
 
 
@@ -55,12 +48,6 @@ def test_medians_are_the_kernels(share):
         np.testing.assert_allclose(found[k, :, 0, 0], expected, rtol=1e-6)
 
 
-def test_shares_of_blocks_are_means():
-    found = block_shares(7, 2)
-    np.testing.assert_allclose(found[0], np.array([1, 1, 1, 0.5, 0, 0, 0]) / 3.5, atol=1e-6)
-    np.testing.assert_allclose(found.sum(1), 1, atol=1e-6)
-
-
 def test_the_solve_has_exact_derivatives():
     gradients = torch.randn(2, 2, 5, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     assert torch.autograd.gradcheck(PoissonDepth((5, 6), (0.1, 0.15)).double(), gradients.requires_grad_())
@@ -71,7 +58,7 @@ def test_the_solve_has_exact_derivatives():
 def test_the_solve_is_that_of_the_dct_solver(shape, pitch):
     gradients = np.random.default_rng(0).standard_normal((*shape, 2)).astype(np.float32)
     expected = DctSolver(shape, pitch)(gradients).depth_mm
-    found = PoissonDepth(shape, pitch)(torch.from_numpy(gradients).permute(2, 0, 1)[None])[0]
+    found = PoissonDepth(shape, pitch)(batch(gradients))[0]
     np.testing.assert_allclose(found, expected, atol=2e-5 * np.ptp(expected))
 
 
@@ -89,7 +76,9 @@ MIXED = ((1.0, 0.1, 0.0), (0.05, 1.0, 0.08), (0.0, 0.1, 1.0))
 )
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
 @pytest.mark.parametrize(
-    "shape", [(60, 80), (240, 320)], ids=["means_of_2x2_round_up", "means_of_8x8_round_to_even"]
+    "shape",
+    [(60, 80), (240, 320), (132, 176)],
+    ids=["means_of_2x2_round_up", "means_of_8x8_round_to_even", "sums_of_fractions_round_as_they_come"],
 )
 def test_it_is_the_numpy_paths(settings, dtype, shape):
     rng = np.random.default_rng(1)
@@ -102,10 +91,9 @@ def test_it_is_the_numpy_paths(settings, dtype, shape):
     assert light.is_known
     assert light.is_plain
     expected = prepared.change(image, light)
-    found = ColorChange(background, settings, True)(torch.from_numpy(image).permute(2, 0, 1)[None])[0]
-    np.testing.assert_allclose(found.permute(1, 2, 0), expected, atol=2e-5)
-    plain = ColorChange(background, settings, False)(torch.from_numpy(image).permute(2, 0, 1)[None])[0]
-    np.testing.assert_allclose(plain.permute(1, 2, 0), prepared.change(image), atol=2e-5)
+    for compensate, wanted in ((True, expected), (False, prepared.change(image))):
+        found = ColorChange(background, settings, compensate)(torch.from_numpy(image).permute(2, 0, 1)[None])
+        np.testing.assert_allclose(found[0].permute(1, 2, 0), wanted, atol=2e-5)
 
 
 SHAPE = 12, 16
@@ -123,7 +111,7 @@ def test_photometric_stereo_is_the_models_own(model):
     change = np.random.default_rng(0).uniform(-0.3, 0.5, (*SHAPE, 3)).astype(np.float32)
     y_px, x_px = (axis.ravel() for axis in np.mgrid[: SHAPE[0], : SHAPE[1]])
     expected = model.gradients_at(change.reshape(-1, 3), x_px, y_px).reshape(*SHAPE, 2)
-    found = gradients_module(model, BACKGROUND)(torch.from_numpy(change).permute(2, 0, 1)[None])[0]
+    found = gradients_module(model, BACKGROUND)(batch(change))[0]
     np.testing.assert_allclose(found.permute(1, 2, 0), expected, rtol=2e-4, atol=1e-5)
 
 
@@ -133,7 +121,7 @@ def test_a_polynomial_is_the_models_own(steepest):
     change = np.random.default_rng(0).uniform(-0.3, 0.5, (*SHAPE, 3)).astype(np.float32)
     expected, over = model.prepare(BACKGROUND, SHAPE).gradients_from_color(change)
     assert (over is None) == (steepest == HIGHEST_SLOPE)
-    found = gradients_module(model, BACKGROUND)(torch.from_numpy(change).permute(2, 0, 1)[None])[0]
+    found = gradients_module(model, BACKGROUND)(batch(change))[0]
     np.testing.assert_allclose(found.permute(1, 2, 0), expected, atol=1e-5)
 
 
@@ -156,18 +144,19 @@ def response(shape, seed=0, scale=1.0):
     return ForwardResponse(nodes, 1e-4 * (mixed @ mixed.T + np.eye(3)), shape, (0.01, 0.15))
 
 
-def frame(shape, center, seed=1):
-    """Color change (H, W, 3) and slopes (H, W, 2) of a bump some pixels high, with noise."""
+def frame(shape, center, seed=1, tilt=0.0):
+    """Color change (H, W, 3) and slopes (H, W, 2) of a bump 6 px high on gel that tilts a little, with noise."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
     dx, dy = x - center[0], y - center[1]
     slopes = np.stack([-dx, -dy], axis=-1) * (6 / 100 * np.exp(-(dx**2 + dy**2) / 200))[..., None]
-    change = slopes @ rng.uniform(-1, 1, (2, 3)) + rng.normal(0, 0.004, (*shape, 3))
-    return change.astype(np.float32), (slopes + rng.normal(0, 0.003, slopes.shape)).astype(np.float32)
+    change = slopes @ rng.uniform(-1, 1, (2, 3)) + 2 * tilt + rng.normal(0, 0.004, (*shape, 3))
+    slopes += tilt + rng.normal(0, 0.003, slopes.shape)
+    return change.astype(np.float32), slopes.astype(np.float32)
 
 
-def planes(*maps):
-    return torch.from_numpy(np.stack(maps)).permute(0, 3, 1, 2)
+def batch(*maps):
+    return torch.stack([planes(one) for one in maps])
 
 
 def slopes_after(forward, change, read):
@@ -181,7 +170,7 @@ def test_steps_are_the_numpy_paths(shape, seed):
     """Of two frames at once; the slopes change by what a step may do."""
     forward = response(shape, seed)
     frames = [frame(shape, (20, 9)), frame(shape, (12.5, shape[0] / 2), seed=2)]
-    changes, slopes = (planes(*maps) for maps in zip(*frames))
+    changes, slopes = (batch(*maps) for maps in zip(*frames))
     found = ForwardStep(forward, UNTOUCHED)(changes, slopes)
     for (change, read), one in zip(frames, found):
         expected = slopes_after(forward, change, read)
@@ -195,7 +184,7 @@ def test_no_step_is_longer_than_the_longest():
     forward = response(shape, scale=0.5)
     change, read = frame(shape, (20, 15))
     change[5:12, 30:40] += np.array([0.9, -0.7, 0.8], np.float32)
-    found = ForwardStep(forward, UNTOUCHED)(planes(change), planes(read))[0].permute(1, 2, 0).numpy()
+    found = ForwardStep(forward, UNTOUCHED)(batch(change), batch(read))[0].permute(1, 2, 0).numpy()
     length = np.linalg.norm(found - read, axis=-1)
     assert length.max() == pytest.approx(CLIPPED_STEP_SIGMA, rel=1e-4)
     expected = slopes_after(forward, change, read)
@@ -227,29 +216,18 @@ def test_a_gel_at_rest_has_derivatives():
     assert derivative.abs().max() > 0.01
 
 
-def bump(shape, center):
-    """Color change (H, W, 3) and slopes (H, W, 2) of a bump 4 px high on gel that tilts a little, with noise."""
-    rng = np.random.default_rng(shape)
-    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
-    dx, dy = x - center[0], y - center[1]
-    slopes = np.stack([-dx, -dy], axis=-1) * (4 / 64 * np.exp(-(dx**2 + dy**2) / 128))[..., None]
-    noise = rng.normal(0, 0.004, (*shape, 3))
-    change = slopes @ rng.uniform(-1, 1, (2, 3)) + 0.02 + noise
-    return change.astype(np.float32), (slopes + 0.01 + noise[..., :2]).astype(np.float32)
-
-
 @pytest.mark.parametrize(
     ("shape", "untouched"),
     [((64, 96), 0.01), ((61, 90), 0.01), ((7, 33), 0.01), ((61, 90), 1e-6)],
     ids=["divided", "not_divided", "low", "the_least_changed"],
 )
 def test_depth_is_the_numpy_paths(shape, untouched):
-    frames = [bump(shape, (20, 5)), bump(shape, (12.5, shape[0] / 2))]
-    ours, theirs = TorchFrameDepth(shape, untouched), stepped.TorchFrameDepth(shape, untouched)
-    changes, slopes = (planes(*maps) for maps in zip(*frames))
+    frames = [frame(shape, center, 7, 0.01) for center in ((20, 5), (12.5, shape[0] / 2))]
+    ours, theirs = CoarseDepth(shape, untouched), coarse.CoarseDepth(shape, untouched)
+    changes, slopes = (batch(*maps) for maps in zip(*frames))
     found = ours(slopes, ours.rest(changes))
-    for frame, depth, full in zip(frames, found[:, 0], ours.in_full(found)[:, 0]):
-        expected = theirs(*frame)
+    for one, depth, full in zip(frames, found[:, 0], ours.in_full(found)[:, 0]):
+        expected = theirs(*one)
         assert expected.max() > 0.3
         np.testing.assert_allclose(depth, expected, atol=2e-5 * expected.max())
         everywhere = cv2.resize(expected, shape[::-1], interpolation=cv2.INTER_LINEAR)
@@ -258,12 +236,9 @@ def test_depth_is_the_numpy_paths(shape, untouched):
 
 def test_values_of_the_coarser_grid_are_opencvs():
     values = np.random.default_rng(0).normal(size=(30, 45, 2)).astype(np.float32)
-    ours, (rows, columns) = TorchFrameDepth((30, 45), 0.1), stepped.coarse_grid((30, 45))[0]
-    coarse, full = (
-        ours.made_coarse(planes(values)),
-        ours.in_full(ours.made_coarse(planes(values))),
-    )
+    ours, (rows, columns) = CoarseDepth((30, 45), 0.1), coarse.coarse_of((30, 45)).shape
+    few = ours.made_coarse(planes(values)[None])
     means = cv2.resize(values, (columns, rows), interpolation=cv2.INTER_AREA)
-    np.testing.assert_allclose(coarse[0].permute(1, 2, 0), means, atol=1e-6)
+    np.testing.assert_allclose(few[0].permute(1, 2, 0), means, atol=1e-6)
     between = cv2.resize(means, (45, 30), interpolation=cv2.INTER_LINEAR)
-    np.testing.assert_allclose(full[0].permute(1, 2, 0), between, atol=1e-6)
+    np.testing.assert_allclose(ours.in_full(few)[0].permute(1, 2, 0), between, atol=1e-6)

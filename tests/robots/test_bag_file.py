@@ -8,12 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.errors import DataError
+from gelform import DataError, Frame, Reconstruction, open_source
 from gelform.foundations.findings import Finding
-from gelform.image.frame import Frame
-from gelform.result import Reconstruction
 from gelform.robots.send import BagFile
-from gelform.sensors.source import open_source
 
 Reader = pytest.importorskip("rosbags.rosbag2", reason="the extra ros is not installed").Reader
 SHAPE, START_NS = (60, 80), 1_700_000_000_000_000_000

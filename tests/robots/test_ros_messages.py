@@ -4,7 +4,6 @@ Depth for LeRobot: every whole micrometer is recovered, and nothing is clipped.
 """
 
 import re
-import subprocess
 import sys
 from dataclasses import replace
 
@@ -13,12 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gelform import DataError, Frame, Reconstruction
 from gelform.depth.force import ForceModel, ForcePart
-from gelform.errors import DataError
 from gelform.foundations.findings import Finding
-from gelform.image.frame import Frame
 from gelform.image.markers import MarkerFlow
-from gelform.result import Reconstruction
 from gelform.robots import depth_from_lerobot_levels, lerobot_levels_from_depth
 from gelform.robots.ros_messages import RosMessages, optical_pose
 from gelform.robots.topics import TOPICS, check_sensor_name, check_topics, sensor_name_from
@@ -42,15 +39,10 @@ def test_a_name_is_made_of_any_text_and_what_ros_refuses_is_refused():
 
 
 def test_topics_have_whole_names_and_come_in_the_tables_order():
-    names = [topic.of("left") for topic in TOPICS.values()]
-    assert names == [
-        "/left/image_raw",
-        "/left/indentation",
-        "/left/points",
-        "/left/wrench",
-        "/diagnostics",
-        "/left/object_pose",
-    ]
+    names = " ".join(topic.of("left") for topic in TOPICS.values())
+    assert names == (
+        "/left/image_raw /left/indentation /left/points /left/wrench /diagnostics /left/object_pose"
+    )
     assert all(re.fullmatch(r"\w+_msgs/msg/\w+", topic.type) for topic in TOPICS.values())
     assert check_topics(["points", "image", "points"]) == ("image", "points")
     assert check_topics("points") == ("points",)
@@ -128,9 +120,8 @@ def test_a_wrench_by_hand(made, result):
     touched = replace(result, contact=inside, outside_change=0.1, force_model=MODEL, markers=flow)
 
     def sent(of):
-        kind = "geometry_msgs/msg/WrenchStamped"
         ((_, message),) = made.due(["wrench"], FRAME, of, STAMP_NS)
-        return decoded(made, message, kind)
+        return decoded(made, message, "geometry_msgs/msg/WrenchStamped")
 
     message = sent(touched)
     assert message.header.frame_id == "left_gel_optical_frame"
@@ -141,14 +132,14 @@ def test_a_wrench_by_hand(made, result):
     kind = "diagnostic_msgs/msg/DiagnosticArray"
     status = decoded(made, made.diagnostics(FRAME, touched, STAMP_NS), kind).status[0]
     assert [(pair.key, "border" in pair.value) for pair in status.values] == [("no_force", True)]
-    shape = (60, 80)
-    known, slopes = np.ones(shape, bool), np.zeros((*shape, 2), np.float32)
-    contact = np.zeros(shape, bool)
+    known, contact = np.ones((60, 80), bool), np.zeros((60, 80), bool)
     contact[20:30, 20:30] = True
-    depth = np.where(contact, np.float32(0.4), np.float32(0))
-    pressed = Reconstruction(
-        depth, None, slopes, None, np.ones(shape, np.float32), contact, known, 0.1, outside_change=0.1
+    depth, slopes, ones = (
+        0.4 * contact.astype(np.float32),
+        np.zeros((60, 80, 2), np.float32),
+        np.float32(known),
     )
+    pressed = Reconstruction(depth, None, slopes, None, ones, contact, known, 0.1, outside_change=0.1)
     alone = sent(replace(pressed, force_model=MODEL)).wrench
     assert alone.force.z == pytest.approx(-2 * 0.4), "1 mm^2 and 0.4 mm deep, at 2 N/mm^3"
     assert np.isnan([alone.force.x, alone.torque.z]).all()
@@ -191,24 +182,19 @@ def test_the_covariance_is_moved_to_the_position():
     np.testing.assert_allclose([*place, *turn], [0, 0, 0, 0, 0, 0, 1])
 
 
-def test_without_the_extra_the_error_names_it():
-    program = """
-import sys
-sys.modules["rosbags"] = None
-from gelform.robots.ros_messages import RosMessages
-RosMessages("left")
-"""
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert 'DataError: A message of ROS 2 needs the extra ros: pip install "gelform[ros]"' in ran.stderr
-
-
-EVERY_LEVEL = np.arange(1, 65536, dtype=np.uint16).reshape(1, -1)
+def test_without_the_extra_the_error_names_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
+    with pytest.raises(
+        DataError, match=r'message of ROS 2 needs the extra ros: pip install "gelform\[ros\]"'
+    ):
+        RosMessages("left")
 
 
 def test_every_level_comes_back_also_those_that_the_page_names():
-    depth_mm = depth_from_lerobot_levels(EVERY_LEVEL)
+    every = np.arange(1, 65536, dtype=np.uint16).reshape(1, -1)
+    depth_mm = depth_from_lerobot_levels(every)
     assert depth_mm.dtype == np.float32
-    np.testing.assert_array_equal(lerobot_levels_from_depth(depth_mm), EVERY_LEVEL)
+    np.testing.assert_array_equal(lerobot_levels_from_depth(depth_mm), every)
     assert depth_from_lerobot_levels(np.array([[1000.5]])) == pytest.approx(0.0005)
     depth_mm = np.array([[0.0, 0.001, -0.999, 1.0, 64.535]], np.float32)
     levels = lerobot_levels_from_depth(depth_mm)

@@ -1,7 +1,4 @@
-"""Keys and tokens equal those in rmw_zenoh's documentation and in its other implementations.
-
-A node, a router and a subscriber talk over zenoh's own sockets.
-"""
+"""Keys and tokens equal rmw_zenoh's; a node, a router and a subscriber talk over zenoh's own sockets."""
 
 import queue
 import struct
@@ -11,10 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelform.errors import GelformError
+from gelform import Frame, GelformError, Reconstruction
 from gelform.foundations.findings import Finding
-from gelform.image.frame import Frame
-from gelform.result import Reconstruction
 from gelform.robots.zenoh_node import Node, ZenohNode, attachment, dds_type, gid_from_token
 from gelform.sensors.recordings.mcap_writer import typestore
 

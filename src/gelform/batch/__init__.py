@@ -2,9 +2,9 @@
 
 from gelform.batch.containers import FilmRef
 from gelform.batch.inputs import Listing, listing_of
-from gelform.batch.manifest import Problem, verify_output
+from gelform.batch.outputs.files import KEPT, BatchSettings
+from gelform.batch.records import Problem, verify_output
 from gelform.batch.run import BatchSummary, RunOptions, run_batch
-from gelform.batch.settings import KEPT, BatchSettings
 from gelform.batch.work import Engine
 
 __all__ = [

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -18,19 +17,11 @@ from numpy.typing import NDArray
 from gelform.errors import DataError, needed
 from gelform.foundations.files import MAX_TEXT_BYTES, bytes_of
 
-BLOCK_BYTES, BLOCK_FRAMES = 1 << 26, 64  # limits of one read: bytes and frames
-MAX_CHUNK_BYTES = 2**30  # decompressed
+BLOCK_FRAMES = 64  # limit of one read
 MAX_FRAMES = 10**7  # of a sequence: two days at 60 per second; more is a damaged number
-# Bytes of frames per stored byte: deflate reaches 1032, and a camera's frames never come near it.
-MAX_PACKING = 2000
 DAMAGED = (OSError, ValueError, RuntimeError)  # errors of h5py and zarr for a chunk that cannot be decoded
-HDF5_SUFFIXES = (
-    ".h5",
-    ".hdf5",
-)  # robomimic's data/demo_0/obs/CAMERA, ALOHA's observations/images/CAMERA, or any
-NODES, ZIPPED = (".zgroup", ".zarray", "zarr.json"), ".zarr.zip"
+NODES = (".zgroup", ".zarray", "zarr.json")  # metadata in the folder of a Zarr group or array
 ENDS = "meta/episode_ends"  # next to data/CAMERA, in the layout of diffusion policies
-Shapes = Mapping[str, tuple[tuple[int, ...], str]]  # path inside -> (shape, dtype)
 
 
 @dataclass(frozen=True)
@@ -88,14 +79,30 @@ class ContainerError(DataError):
     """A file of frames cannot be opened."""
 
 
-def matching(path: Path, there: Shapes, wanted: str) -> list[str]:
-    """The datasets that match a pattern such as "data/*/obs/gelsight"; * matches one name. DataError if none does."""
+def matching(path: Path, there: Mapping[str, tuple[tuple[int, ...], str]], wanted: str) -> list[str]:
+    """The datasets, of `there` with shape and type, that match a pattern ("data/*/obs/gelsight"); * matches one name.
+
+    DataError: none does. It lists the datasets; those that differ only in a number appear once.
+    """
     parts = wanted.strip("/").split("/")
-    found = [one for one in there if wanted and _matches(one.split("/"), parts)]
+    found = [
+        one
+        for one in there
+        if wanted and one.count("/") == len(parts) - 1 and all(map(fnmatchcase, one.split("/"), parts))
+    ]
     if found:
         return found
+    kinds: dict[str, list[str]] = {}
+    for one in there:
+        kinds.setdefault(re.sub(r"\d+", "*", one), []).append(one)
+    texts = []
+    for pattern, (first, *more) in kinds.items():
+        shape, dtype = there[first]
+        count = f"{1 + len(more)}" if more else "one"
+        texts.append(f"{pattern if more else first} ({count} of {dtype} {'x'.join(map(str, shape))})")
+    listed = "are " + ", ".join(texts) if texts else "is no dataset of frames (N, H, W, 3)"
     said = f"Expected {wanted} in {path}, got none" if wanted else f"{path} may hold several datasets"
-    raise DataError(f"{said}. Give one with --dataset; there {_listed(there)}.")
+    raise DataError(f"{said}. Give one with --dataset; there {listed}.")
 
 
 def blocks(dataset: Any, start: int, count: int, chunk: int) -> Iterator[NDArray[Any] | DataError]:
@@ -104,20 +111,17 @@ def blocks(dataset: Any, start: int, count: int, chunk: int) -> Iterator[NDArray
     Whole chunks are read in blocks, so that no chunk is decompressed once per frame.
     """
     frame_bytes = max(1, int(np.prod(dataset.shape[1:])) * dataset.dtype.itemsize)
-    length = max(1, min(chunk, BLOCK_FRAMES, BLOCK_BYTES // frame_bytes))
+    length = max(1, min(chunk, BLOCK_FRAMES, (1 << 26) // frame_bytes))  # at most 64 MB
     for first in range(start, start + count, length):
         stop = min(first + length, start + count)
         try:
             yield from dataset[first:stop]
         except DAMAGED:
-            yield from (_one(dataset, index) for index in range(first, stop))
-
-
-def _one(dataset: Any, index: int) -> NDArray[Any] | DataError:
-    try:
-        return np.asarray(dataset[index])
-    except DAMAGED as problem:
-        return DataError(f"Cannot read frame {index} of {dataset.name}: {problem}.")
+            for index in range(first, stop):
+                try:
+                    yield np.asarray(dataset[index])
+                except DAMAGED as problem:
+                    yield DataError(f"Cannot read frame {index} of {dataset.name}: {problem}.")
 
 
 def is_frames(shape: tuple[int, ...], dtype: Any) -> bool:
@@ -130,36 +134,15 @@ def is_frames(shape: tuple[int, ...], dtype: Any) -> bool:
     return len(shape) == 2 and kind == np.uint8
 
 
-def _matches(names: list[str], pattern: list[str]) -> bool:
-    return len(names) == len(pattern) and all(fnmatchcase(a, b) for a, b in zip(names, pattern))
-
-
-def _listed(there: Shapes) -> str:
-    """List the datasets; those that differ only in a number appear once."""
-    if not there:
-        return "is no dataset of frames (N, H, W, 3)"
-    kinds = Counter(re.sub(r"\d+", "*", one) for one in there)
-    first = {re.sub(r"\d+", "*", one): one for one in reversed(list(there))}
-    texts = []
-    for pattern, count in kinds.items():
-        shape, dtype = there[first[pattern]]
-        name = first[pattern] if count == 1 else pattern
-        texts.append(f"{name} ({count if count > 1 else 'one'} of {dtype} {_shape(shape)})")
-    return "are " + ", ".join(texts)
-
-
-def _shape(shape: Iterable[int]) -> str:
-    return "x".join(map(str, shape))
-
-
 def is_zarr(path: Path) -> bool:
     """Whether a path is a Zarr store: a folder with its metadata, or one in a zip."""
-    return path.name.endswith(ZIPPED) or any((path / name).is_file() for name in NODES)
+    return path.name.endswith(".zarr.zip") or any((path / name).is_file() for name in NODES)
 
 
 def is_container(path: Path) -> bool:
     """Whether a path is an HDF5 file or a Zarr store, which hold frames under a path inside."""
-    return path.suffix.lower() in HDF5_SUFFIXES or is_zarr(path)
+    # HDF5: robomimic's data/demo_0/obs/CAMERA, ALOHA's observations/images/CAMERA, or any.
+    return path.suffix.lower() in (".h5", ".hdf5") or is_zarr(path)
 
 
 def films_in_container(path: Path, name: str, wanted: str) -> list[FilmRef]:
@@ -169,7 +152,12 @@ def films_in_container(path: Path, name: str, wanted: str) -> list[FilmRef]:
     """
     films: list[FilmRef] = []
     with _opened(path) as group:
-        arrays = _arrays(group)
+        members: dict[str, Any] = {}
+        if hasattr(group, "visititems"):  # of h5py
+            group.visititems(members.__setitem__)
+        else:
+            members.update(group.members(max_depth=None))
+        arrays = {inside: one for inside, one in members.items() if hasattr(one, "shape")}
         there = {one: (a.shape, str(a.dtype)) for one, a in arrays.items() if is_frames(a.shape, a.dtype)}
         for one in sorted(matching(path, there, wanted), key=natural):
             _check_stored(path, arrays[one])
@@ -204,13 +192,13 @@ def _check_stored(path: Path, dataset: Any) -> None:
         return
     stored = dataset.nbytes_stored() if is_zarr(path) else dataset.id.get_storage_size()
     count, shape = dataset.shape[0], dataset.shape[1:]
-    if dataset.nbytes > MAX_PACKING * stored:
+    if dataset.nbytes > 2000 * stored:  # deflate reaches 1032, and a camera's frames never come near it
         raise DataError(
             f"{dataset.name} in {path} states {count} frames and stores {stored} bytes: they were never written. Cut it to "
             "the frames that are there."
         )
     chunk = int(np.prod(dataset.chunks or (1, *shape), dtype=object)) * dataset.dtype.itemsize
-    if chunk > MAX_CHUNK_BYTES:
+    if chunk > 1 << 30:
         raise DataError(
             f"{dataset.name} in {path} has chunks of {chunk / 1e9:.3g} GB, each of which is decompressed as a whole. Write "
             "it again in chunks of a few frames."
@@ -237,19 +225,8 @@ def _opened(path: Path) -> AbstractContextManager[Any]:
         ) from problem
 
 
-def _arrays(group: Any) -> dict[str, Any]:
-    """The arrays of a file or group by their paths inside."""
-    found: dict[str, Any] = {}
-    if hasattr(group, "visititems"):
-        group.visititems(found.__setitem__)
-    else:
-        found.update(group.members(max_depth=None))
-    return {inside: one for inside, one in found.items() if hasattr(one, "shape")}
-
-
-PENALTY = "av1 yuv420p crf 30 moves depth in contact by 27 um, h264 yuv420p crf 23 by 38 um, h264 yuv444p crf 10 by 7 um"
-ROWS_AT_ONCE = 32  # rows of a table with images that are read at once
-INFO, STATS, EPISODES, VERSION = "meta/info.json", "meta/stats.json", "meta/episodes", "v3.0"
+INFO, STATS, EPISODES = "meta/info.json", "meta/stats.json", "meta/episodes"
+LEROBOT_PATH = re.compile(r"([^{}]|{(video_key|(chunk|file)_index(:0\dd)?)})+")  # the format's fields alone
 
 
 def is_lerobot_set(path: Path) -> bool:
@@ -264,9 +241,9 @@ def lerobot_info(root: Path) -> dict[str, Any]:
         version, _ = info["codebase_version"], (info["features"], info["fps"])
     except (OSError, ValueError, KeyError, TypeError) as problem:
         raise DataError(f"{root / INFO} cannot be read as LeRobot's: {problem!r}.") from problem
-    if version != VERSION:
+    if version != "v3.0":
         raise DataError(
-            f"Expected a LeRobot data set of version {VERSION}, got {version} in {root}. LeRobot's own script "
+            f"Expected a LeRobot data set of version v3.0, got {version} in {root}. LeRobot's own script "
             "convert_dataset_v21_to_v30 makes one of it."
         )
     return info
@@ -274,8 +251,7 @@ def lerobot_info(root: Path) -> dict[str, Any]:
 
 def lerobot_episodes(root: Path, columns: list[str]) -> list[dict[str, Any]]:
     """Rows of `meta/episodes`, ordered by episode; DataError if they are unreadable or lack a column."""
-    parquet = needed("pyarrow.parquet", "data", "LeRobot")
-    pyarrow = needed("pyarrow", "data", "LeRobot")
+    parquet, pyarrow = (needed(name, "data", "LeRobot") for name in ("pyarrow.parquet", "pyarrow"))
     rows: list[dict[str, Any]] = []
     try:
         for path in sorted((root / EPISODES).glob("*/*.parquet")):
@@ -290,91 +266,56 @@ def lerobot_episodes(root: Path, columns: list[str]) -> list[dict[str, Any]]:
 
 def films_in_lerobot_set(root: Path, wanted: str) -> list[FilmRef]:
     """A film for each episode of each matching camera, from videos or images; DataError if there is none."""
-    info = lerobot_info(root)
-    cameras = {
-        key: (tuple(feature["shape"]), feature["dtype"])
-        for key, feature in info["features"].items()
-        if feature.get("dtype") in _PLACES and not _is_depth(feature)
-    }
-    return [
-        FilmRef(
-            f"{key}/episode_{episode:06d}",
-            root / path,
-            dataset=key,
-            offset=offset,
-            count=length,
-            rate_hz=round(info["fps"]),
-        )
-        for key in matching(root, cameras, wanted)
-        for episode, path, offset, length in _PLACES[cameras[key][1]](root, info, key)
-    ]
+    info, cameras = lerobot_info(root), {}
+    for key, feature in info["features"].items():
+        if feature.get("dtype") in ("video", "image"):
+            more = feature.get("info") or {}
+            if not (more.get("is_depth_map") or more.get("video.is_depth_map")):
+                cameras[key] = tuple(feature["shape"]), feature["dtype"]
+    films: list[FilmRef] = []
+    for key in matching(root, cameras, wanted):
+        in_video = cameras[key][1] == "video"
+        folder, name = (f"videos/{key}", "video_path") if in_video else ("data", "data_path")
+        chunk, file = f"{folder}/chunk_index", f"{folder}/file_index"
+        begin = f"{folder}/from_timestamp" if in_video else "dataset_from_index"
+        pattern: Any = info.get(name)
+        first: dict[str, int] = {}  # row of each table
+        for row in lerobot_episodes(root, ["episode_index", "length", chunk, file, begin]):
+            where = {"chunk_index": row[chunk], "file_index": row[file]}
+            is_known = isinstance(pattern, str) and LEROBOT_PATH.fullmatch(pattern)
+            path = pattern.format(video_key=key if in_video else "", **where) if is_known else ""
+            if not is_known or leads_out(path):
+                raise DataError(
+                    f"Expected {name} in {root / INFO} to name files below the data set by video_key, chunk_index and "
+                    f"file_index, got {pattern!r}."
+                )
+            at = row[begin]
+            offset = round(at * info["fps"]) if in_video else at - first.setdefault(path, at)
+            episode, rate_hz = f"{key}/episode_{row['episode_index']:06d}", round(info["fps"])
+            films.append(FilmRef(episode, root / path, (), key, offset, row["length"], rate_hz))
+    return films
 
 
-def _is_depth(feature: dict[str, Any]) -> bool:
-    info = feature.get("info") or {}
-    return bool(info.get("is_depth_map") or info.get("video.is_depth_map"))
-
-
-def _in_videos(root: Path, info: dict[str, Any], key: str) -> Iterator[tuple[int, str, int, int]]:
-    """For each episode: number, video below the data set, its first frame in the video, number of frames."""
-    chunk, file, begin = (f"videos/{key}/{name}" for name in ("chunk_index", "file_index", "from_timestamp"))
-    for row in lerobot_episodes(root, ["episode_index", "length", chunk, file, begin]):
-        path = _file_of(root, info, "video_path", video_key=key, chunk_index=row[chunk], file_index=row[file])
-        yield row["episode_index"], path, round(row[begin] * info["fps"]), row["length"]
-
-
-def _in_tables(root: Path, info: dict[str, Any], key: str) -> Iterator[tuple[int, str, int, int]]:
-    """The same for a table, whose rows are consecutive episodes."""
-    columns = ["data/chunk_index", "data/file_index", "dataset_from_index"]
-    first: dict[str, int] = {}
-    for row in lerobot_episodes(root, ["episode_index", "length", *columns]):
-        path = _file_of(root, info, "data_path", chunk_index=row[columns[0]], file_index=row[columns[1]])
-        begin = row["dataset_from_index"]
-        yield row["episode_index"], path, begin - first.setdefault(path, begin), row["length"]
-
-
-def _file_of(root: Path, info: dict[str, Any], pattern: str, **names: Any) -> str:
-    """A file below the data set; DataError unless the set's pattern has the format's fields and stays below it."""
-    path = info.get(pattern)
-    if isinstance(path, str) and re.fullmatch(r"([^{}]|{(video_key|(chunk|file)_index(:0\dd)?)})+", path):
-        path = path.format(**{"video_key": "", **names})
-        if not leads_out(path):
-            return path
-    raise DataError(
-        f"Expected {pattern} in {root / INFO} to name files below the data set by video_key, chunk_index and "
-        f"file_index, got {info.get(pattern)!r}."
-    )
-
-
-_PLACES = {"video": _in_videos, "image": _in_tables}
-
-
-def compression_of(root: Path, key: str) -> str:
-    """Codec, pixel format and quality of a camera's video, such as "av1 yuv420p crf 30"; empty if lossless.
+def lossy_warnings(root: Path, films: Iterable[FilmRef]) -> tuple[str, ...]:
+    """The measured cost of each camera's compression (`benchmarks/batch.py lossy`); nothing if it is lossless.
 
     LeRobot stores the images in its tables as PNG, without loss.
     """
-    feature = lerobot_info(root)["features"].get(key, {})
-    if feature.get("dtype") == "image":
-        return ""
-    info = {name.removeprefix("video."): value for name, value in (feature.get("info") or {}).items()}
-    codec, pixels = str(info.get("codec", "unknown codec")), str(info.get("pix_fmt", "unknown pixels"))
-    crf = info.get("crf")
-    if codec == "ffv1" or (codec in ("h264", "hevc") and crf == 0 and pixels in ("gbrp", "rgb24")):
-        return ""
-    return f"{codec} {pixels}" + ("" if crf is None else f" crf {crf}")
-
-
-def lossy_warnings(root: Path, sequences: Iterable[FilmRef]) -> tuple[str, ...]:
-    """The measured cost of each camera's compression (`benchmarks/batch.py lossy`); nothing if it is lossless."""
-    said = []
-    for key in dict.fromkeys(one.dataset for one in sequences):
-        if coded := compression_of(root, key):
-            said.append(
-                f"{key} is {coded}, with loss. Measured against the same frames without: {PENALTY}. Record "
+    warnings, features = [], lerobot_info(root)["features"]
+    for key in dict.fromkeys(film.dataset for film in films):
+        feature = features.get(key, {})
+        info = {name.removeprefix("video."): value for name, value in (feature.get("info") or {}).items()}
+        codec, pixels = str(info.get("codec", "unknown codec")), str(info.get("pix_fmt", "unknown pixels"))
+        crf = info.get("crf")
+        exact = codec in ("h264", "hevc") and crf == 0 and pixels in ("gbrp", "rgb24")
+        if feature.get("dtype") != "image" and codec != "ffv1" and not exact:
+            quality = "" if crf is None else f" crf {crf}"
+            warnings.append(
+                f"{key} is {codec} {pixels}{quality}, with loss. Measured against the same frames without: av1 yuv420p "
+                "crf 30 moves depth in contact by 27 um, h264 yuv420p crf 23 by 38 um, h264 yuv444p crf 10 by 7 um. Record "
                 "without loss where depth is measured."
             )
-    return tuple(said)
+    return tuple(warnings)
 
 
 def video_frames(
@@ -415,8 +356,7 @@ def stored_images(
     Only the needed row groups and columns are read. DataError if the table ends earlier, or its order contradicts the
     table of episodes.
     """
-    parquet = needed("pyarrow.parquet", "data", "LeRobot")
-    pyarrow = needed("pyarrow", "data", "LeRobot")
+    parquet, pyarrow = (needed(name, "data", "LeRobot") for name in ("pyarrow.parquet", "pyarrow"))
     done = 0
     try:
         with parquet.ParquetFile(path) as file:
@@ -426,7 +366,16 @@ def stored_images(
                         f"Expected frame {start + done} of an episode in row {offset + start + done} of {path}, got frame "
                         f"{row['frame_index']}. The tables of the data set do not agree: create it again."
                     )
-                yield float(row["timestamp"]), _bytes_of(row[key], path, start + done)
+                cell = row[key]  # LeRobot's images are {bytes, path}, of which only the bytes are used
+                content = cell.get("bytes") if isinstance(cell, dict) else None
+                yield (
+                    float(row["timestamp"]),
+                    np.frombuffer(content, dtype=np.uint8)
+                    if content
+                    else DataError(
+                        f"Frame {start + done} in {path} has no bytes of an image. Record the data set again."
+                    ),
+                )
                 done += 1
     except (pyarrow.ArrowException, OSError, KeyError) as problem:
         raise DataError(f"Cannot read {key} in {path}: {problem}.") from problem
@@ -444,15 +393,7 @@ def _rows(file: Any, first: int, count: int, columns: list[str]) -> Iterator[dic
     if not groups:
         return
     at = int(ends[groups[0]]) - lengths[groups[0]]
-    for batch in file.iter_batches(ROWS_AT_ONCE, row_groups=groups, columns=columns):
+    for batch in file.iter_batches(32, row_groups=groups, columns=columns):  # as images they are large
         begin, stop = max(0, first - at), first + count - at
         at += len(batch)
         yield from batch.slice(begin, max(0, stop - begin)).to_pylist()
-
-
-def _bytes_of(value: Any, path: Path, index: int) -> NDArray[np.uint8] | DataError:
-    """The bytes of a cell; LeRobot's images are {bytes, path}, of which only the bytes are used."""
-    content = value.get("bytes") if isinstance(value, dict) else None
-    if not content:
-        return DataError(f"Frame {index} in {path} has no bytes of an image. Record the data set again.")
-    return np.frombuffer(content, dtype=np.uint8)

@@ -14,6 +14,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from gelform import Calibration, background_from_frames
 from gelform.batch.containers import (
     NODES,
     ContainerError,
@@ -29,21 +30,16 @@ from gelform.batch.containers import (
     video_frames,
 )
 from gelform.calibration.presses.press_set import file_of, table_rows
-from gelform.calibration_file import Calibration
 from gelform.errors import DataError, GelformError, reason
 from gelform.foundations.checks import check_image, check_path
 from gelform.foundations.files import way_for
 from gelform.image.agreement import background_digest
-from gelform.image.background import background_from_frames
 from gelform.image.frame import Frame, in_rgb
 from gelform.image.view import MAX_PIXELS, image_from_frame
 from gelform.sensors.files import FILM_SUFFIXES, IMAGE_SUFFIXES, is_stack, read_background, read_image
 from gelform.sensors.films import open_film
-from gelform.sensors.pictures import image_from_values, is_npy
+from gelform.sensors.pictures import image_from_values
 from gelform.sensors.recordings.mcap_reader import end_missing, refuse_bag
-
-BACKGROUND_COLUMNS = ("sequence", "background")
-MOST_NAMED = 3  # sequences that a message names at most
 
 
 @dataclass(frozen=True)
@@ -100,19 +96,22 @@ def listing_of(
         return Listing(path, episodes, searched=True, warnings=lossy_warnings(path, episodes))
     if path.exists() and is_container(path):
         return Listing(path.parent, tuple(films_in_container(path, path.name, dataset)))
+    absolute = Path(os.path.abspath(path))
+    root, searched = absolute.parent, False
     if path.is_dir():
-        tree = _containers_in_tree(path, dataset) if dataset else _in_tree(path, hidden)
-        listing = Listing(path, tuple(tree), searched=True)
-        what = f"the folder {path}"
+        root, searched, what = path, True, f"the folder {path}"
+        films = tuple(_in_tree(path, hidden, dataset))
     elif path.exists():
-        listing, what = _of_files([path], hidden, _absolute(path).parent), f"the file {path}"
+        what, films = f"the file {path}", tuple(_of_files([path], hidden, "", root))
     elif glob.has_magic(str(path)):
+        # The folder below which the pattern searches: names do not depend on the number of matches.
+        root = Path(*takewhile(lambda one: not glob.has_magic(one), root.parts))
+        searched, what = "**" in path.parts, f"the pattern {path}"
         found = [Path(one) for one in glob.glob(str(path), recursive=True)]
-        listing, what = _of_found(found, hidden, dataset, _begin(path)), f"the pattern {path}"
-        listing = replace(listing, searched="**" in path.parts)
+        films = tuple(_of_files(found, hidden, dataset, root))
     else:
         raise DataError(f"No file or folder {path}. Check the path; put a pattern in quotes.")
-    if not listing.sequences:
+    if not films:
         refuse_bag(path)
         suffixes = ", ".join((*IMAGE_SUFFIXES, *FILM_SUFFIXES))
         if way := way_for(path):
@@ -125,149 +124,107 @@ def listing_of(
             f"Expected images, videos or recordings ({suffixes}) in {what}, got none. Of HDF5 files and Zarr stores, "
             "say with --dataset which dataset."
         )
-    recordings = [one.path for one in listing.sequences if one.path.suffix.lower() == ".mcap"]
-    return replace(listing, warnings=tuple(filter(None, map(end_missing, recordings))))
+    recordings = [film.path for film in films if film.path.suffix.lower() == ".mcap"]
+    return Listing(root, films, searched, tuple(filter(None, map(end_missing, recordings))))
 
 
-def _among_others(path: Path, name: str, dataset: str) -> list[FilmRef]:
-    """The same; if one of several is unreadable, it becomes a sequence whose only row holds the error."""
+def _in_tree(root: Path, hidden: set[str], dataset: str) -> Iterator[FilmRef]:
+    """The films of each folder before those of the folders in it; with a dataset those of HDF5 and Zarr alone."""
+    folders = [root]
+    while folders:
+        folder = folders.pop()
+        files: list[str] = []
+        inside: list[str] = []
+        try:
+            with os.scandir(folder) as entries:
+                for entry in entries:
+                    if not entry.name.startswith("."):
+                        (inside if entry.is_dir(follow_symlinks=False) else files).append(entry.name)
+        except OSError as problem:
+            raise DataError(
+                f"Cannot list {folder}: {problem.strerror}. Allow reading it, or give the other folders."
+            ) from problem
+        if dataset:
+            containers = [one for one in (*files, *inside) if is_container(folder / one)]
+            for one in sorted(containers, key=natural):
+                yield from _among_others(folder / one, root, dataset)
+            inside = [one for one in inside if one not in containers]
+        else:
+            shown = [one for one in files if not hidden or os.path.realpath(folder / one) not in hidden]
+            yield from _of_folder(root, folder, shown)
+        folders += [folder / one for one in sorted(inside, key=natural, reverse=True)]
+
+
+def _among_others(path: Path, root: Path, dataset: str) -> list[FilmRef]:
+    """The films of a container; one that cannot be read is a film whose only row holds the error."""
+    name = path.relative_to(root).as_posix()
     try:
         return films_in_container(path, name, dataset)
     except ContainerError:
         return [FilmRef(name, path, dataset=dataset)]
 
 
-def _containers_in_tree(root: Path, dataset: str) -> Iterator[FilmRef]:
-    for folder, files, inside in _walked(root):
-        for one in [one for one in sorted((*files, *inside), key=natural) if is_container(folder / one)]:
-            path = folder / one
-            yield from _among_others(path, path.relative_to(root).as_posix(), dataset)
-            if one in inside:
-                inside.remove(one)
-
-
-def _begin(pattern: Path) -> Path:
-    """The folder below which a pattern searches; names do not depend on the number of matches."""
-    return Path(*takewhile(lambda one: not glob.has_magic(one), _absolute(pattern).parent.parts))
-
-
-def _of_found(found: list[Path], hidden: set[str], dataset: str, root: Path) -> Listing:
-    """The listing of a pattern's matches."""
-    if not dataset:
-        return _of_files(found, hidden, root)
-    paths = sorted(
-        (path for path in map(_absolute, found) if is_container(path)), key=lambda p: natural(str(p))
-    )
-    named = [(path, path.relative_to(root).as_posix()) for path in paths]
-    return Listing(root, tuple(one for path, name in named for one in _among_others(path, name, dataset)))
-
-
-def _in_tree(root: Path, hidden: set[str]) -> Iterator[FilmRef]:
-    for folder, files, _ in _walked(root):
-        name = "" if folder == root else folder.relative_to(root).as_posix()
-        if hidden:
-            files = [one for one in files if os.path.realpath(folder / one) not in hidden]
-        yield from _of_folder(name, folder, files)
-
-
-def _walked(root: Path) -> Iterator[tuple[Path, list[str], list[str]]]:
-    """Each folder, before those in it, with the names of its files and of its folders; one removed is not entered."""
-    folders = [root]
-    while folders:
-        folder = folders.pop()
-        files, inside = _entries(folder)
-        yield folder, files, inside
-        folders += [folder / one for one in sorted(inside, key=natural, reverse=True)]
-
-
-def _entries(folder: Path) -> tuple[list[str], list[str]]:
-    """Names of the files and of the folders in a folder."""
-    files: list[str] = []
-    folders: list[str] = []
-    try:
-        with os.scandir(folder) as entries:
-            for entry in entries:
-                if not entry.name.startswith("."):
-                    (folders if entry.is_dir(follow_symlinks=False) else files).append(entry.name)
-    except OSError as problem:
-        raise DataError(
-            f"Cannot list {folder}: {problem.strerror}. Allow reading it, or give the other folders."
-        ) from problem
-    return files, folders
-
-
-def _of_folder(name: str, folder: Path, files: Iterable[str], *, named: bool = False) -> Iterator[FilmRef]:
-    """The sequences of files in a folder; arrays of numpy only if each is named, because others may hold anything."""
+def _of_folder(
+    root: Path, folder: Path, files: Iterable[str], image_suffixes: Collection[str] = IMAGE_SUFFIXES
+) -> Iterator[FilmRef]:
+    """The films of files in a folder: its images together, then each file of several frames."""
     kinds = [(os.path.splitext(one)[1].lower(), one) for one in sorted(files, key=natural)]
-    image_suffixes = (*IMAGE_SUFFIXES, ".npy") if named else IMAGE_SUFFIXES
     stacks = {one for suffix, one in kinds if suffix in image_suffixes and is_stack(folder / one)}
     images = tuple(one for suffix, one in kinds if suffix in image_suffixes and one not in stacks)
     if images:
+        name = "" if folder == root else folder.relative_to(root).as_posix()
         yield FilmRef(name, folder, images, count=len(images))
     for suffix, one in kinds:
         if suffix in FILM_SUFFIXES or one in stacks:
-            yield FilmRef(f"{name}/{one}" if name else one, folder / one)
+            yield FilmRef((folder / one).relative_to(root).as_posix(), folder / one)
 
 
-def _of_files(paths: Iterable[Path], hidden: set[str], root: Path) -> Listing:
-    """Files of images and recordings, grouped by their parent folder."""
-    wanted = [path for path in map(_absolute, paths) if os.path.realpath(path) not in hidden]
-    wanted = [path for path in wanted if _is_frames(path)]
+def _of_files(paths: Iterable[Path], hidden: set[str], dataset: str, root: Path) -> Iterator[FilmRef]:
+    """The films of named files, in the order of their folders; with a dataset those of HDF5 and Zarr alone.
+
+    Arrays of numpy are images here, where each was named; in a folder they may hold anything.
+    """
+    named = [Path(os.path.abspath(one)) for one in paths if os.path.realpath(one) not in hidden]
+    if dataset:
+        for path in sorted(filter(is_container, named), key=lambda one: natural(str(one))):
+            yield from _among_others(path, root, dataset)
+        return
     inside: dict[Path, list[str]] = {}
-    for path in wanted:
-        inside.setdefault(path.parent, []).append(path.name)
-    sequences: list[FilmRef] = []
+    for path in named:
+        if path.is_file() and path.suffix.lower() in (*IMAGE_SUFFIXES, *FILM_SUFFIXES, ".npy"):
+            inside.setdefault(path.parent, []).append(path.name)
     for folder in sorted(inside, key=lambda one: natural(one.as_posix())):
-        name = "" if folder == root else folder.relative_to(root).as_posix()
-        sequences += _of_folder(name, folder, inside[folder], named=True)
-    return Listing(root, tuple(sequences))
-
-
-def _absolute(path: Path) -> Path:
-    return Path(os.path.abspath(path))
-
-
-def _is_frames(path: Path) -> bool:
-    suffix = path.suffix.lower()
-    return path.is_file() and (suffix in (*IMAGE_SUFFIXES, *FILM_SUFFIXES) or is_npy(path))
+        yield from _of_folder(root, folder, inside[folder], (*IMAGE_SUFFIXES, ".npy"))
 
 
 @dataclass(frozen=True)
 class Part:
-    """Some frames of a film, or a whole video or recording; small, so that it can be sent to another process.
+    """Some frames of a film, or a whole video or recording; small, so that it can be sent to another process."""
 
-    Attributes
-    ----------
-    number : its position in the plan, from 0; independent of shards
-    film : the film, with this part's images alone
-    start : position of its first frame in the film
-    count : frames of the part; 0 if not counted yet
-    names : name of each image's output, without ending
-    first : the first images of the film, if they make its background
-    bgr : whether its channels are in the order blue, green, red
-    """
-
-    number: int
-    film: FilmRef
-    start: int = 0
-    count: int = 0
-    names: tuple[str, ...] = ()
-    first: tuple[str, ...] = ()
-    bgr: bool = False
+    number: int  # its position in the plan, from 0; independent of shards
+    film: FilmRef  # with this part's images alone
+    start: int = 0  # position of its first frame in the film
+    count: int = 0  # 0 if not counted yet
+    names: tuple[str, ...] = ()  # of each image's output, without ending
+    first: tuple[str, ...] = ()  # the first images of the film, if they make its background
+    bgr: bool = False  # whether its channels are in the order blue, green, red
 
     def name_of(self, index: int) -> str:
         """Name of a frame's output, without ending, by its position in the film."""
         return self.names[index - self.start] if self.names else f"{index:06d}"
 
-    def beginning(self, count: int) -> Part:
-        """The first frames of the film, at most so many; of a video or a recording all."""
-        film = replace(self.film, images=self.first)
-        return replace(self, film=film, start=0, count=min(count, film.count), names=())
-
     def input_digest(self) -> str:
         """SHA-256 of its files' names and sizes; if a file was replaced, it differs and the part is done again."""
         film, sha = self.film, hashlib.sha256(os.fsencode(self.film.name))
-        for path in self._files():
+        folder, is_folder = os.fspath(film.path), film.path.is_dir()
+        paths = [folder]  # as text, because there may be millions
+        if film.images:
+            paths = [f"{folder}/{one}" for one in (*self.first, *film.images)]
+        elif film.dataset and is_folder:
+            paths = [f"{folder}/{film.dataset}/{name}" for name in NODES]
+        elif is_folder:
+            paths = sorted(f"{folder}/{one}" for one in os.listdir(folder))
+        for path in paths:
             try:
                 size = os.stat(path).st_size
             except OSError:
@@ -276,15 +233,6 @@ class Part:
         if film.dataset:
             sha.update(os.fsencode(f"\n{film.dataset} {film.offset} {self.start} {self.count}"))
         return sha.hexdigest()
-
-    def _files(self) -> list[str]:
-        """Paths as text, because there may be millions."""
-        film, folder = self.film, os.fspath(self.film.path)
-        if film.images:
-            return [f"{folder}/{one}" for one in (*self.first, *film.images)]
-        if film.dataset and film.path.is_dir():
-            return [f"{folder}/{film.dataset}/{name}" for name in NODES]
-        return sorted(f"{folder}/{one}" for one in os.listdir(folder)) if film.path.is_dir() else [folder]
 
 
 def plan_of(listing: Listing, part_frames: int, background_frames: int = 0, bgr: bool = False) -> list[Part]:
@@ -332,31 +280,28 @@ def frames_of_part(
 
 
 def _frames(part: Part, most_pixels: float) -> Iterator[Frame | BaseException]:
-    film = part.film
-    if not (film.images or film.dataset):
+    film, start, count = part.film, part.start, part.count
+    stored: Iterable[tuple[float, Any]]  # time, s, and what an image is made from
+    if film.images:
+        stored = ((0.0, film.path / one) for one in film.images)
+    elif not film.dataset:
         yield from open_film(film.path)
         return
-    pictures: Iterable[tuple[float, Callable[..., NDArray[Any]], Any]]
-    if film.images:
-        pictures = ((0.0, read_image, film.path / one) for one in film.images)
+    elif film.path.suffix == ".mp4":
+        stored = video_frames(film.path, film.offset, start, count)
+    elif film.path.suffix == ".parquet":
+        stored = stored_images(film.path, film.dataset, film.offset, start, count)
     else:
-        pictures = ((time_s, image_from_values, values) for time_s, values in _values(part))
-    for index, (time_s, image_from, stored) in enumerate(pictures, part.start):
+        values = container_values(film.path, film.dataset, film.offset + start, count)
+        stored = ((0.0, one) for one in values)
+    image_from: Callable[..., NDArray[Any]] = read_image if film.images else image_from_values
+    for index, (time_s, one) in enumerate(stored, start):
         frame: Frame | BaseException
         try:
-            frame = Frame(image_from(stored, most_pixels=most_pixels), time_s, 0, index)
+            frame = Frame(image_from(one, most_pixels=most_pixels), time_s, 0, index)
         except (GelformError, MemoryError) as problem:
             frame = problem
         yield frame
-
-
-def _values(part: Part) -> Iterator[tuple[float, NDArray[Any] | DataError]]:
-    film, begin = part.film, part.film.offset + part.start
-    if film.path.suffix == ".mp4":
-        return video_frames(film.path, film.offset, part.start, part.count)
-    if film.path.suffix == ".parquet":
-        return stored_images(film.path, film.dataset, film.offset, part.start, part.count)
-    return ((0.0, one) for one in container_values(film.path, film.dataset, begin, part.count))
 
 
 def image_of_calibration(frame: Frame, calibration: Calibration) -> NDArray[Any]:
@@ -368,12 +313,14 @@ def image_of_calibration(frame: Frame, calibration: Calibration) -> NDArray[Any]
         raise DataError(str(problem)) from problem
 
 
-def background_of_sequence(part: Part, count: int, calibration: Calibration) -> NDArray[Any]:
-    """The average (H, W, 3) of the first readable frames of a part's sequence.
+def background_of_film(part: Part, count: int, calibration: Calibration) -> NDArray[Any]:
+    """The average (H, W, 3) of the first readable frames of a part's film.
 
     DataError if none is readable, one has another size, or they differ because something touches the gel.
     """
-    first = [one for _, one in islice(frames_of_part(part.beginning(count), calibration.most_pixels), count)]
+    film = replace(part.film, images=part.first)
+    beginning = replace(part, film=film, start=0, count=min(count, film.count), names=())
+    first = [one for _, one in islice(frames_of_part(beginning, calibration.most_pixels), count)]
     images = [image_of_calibration(one, calibration) for one in first if isinstance(one, Frame)]
     if not images:
         why = next((reason(one) for one in first if not isinstance(one, Frame)), "there is none.")
@@ -386,16 +333,10 @@ def background_of_sequence(part: Part, count: int, calibration: Calibration) -> 
 
 @dataclass(frozen=True)
 class Backgrounds:
-    """Files of the gel at rest.
+    """Files of the gel at rest, each an image or a folder of several."""
 
-    Attributes
-    ----------
-    of_all : an image or a folder of several, for every sequence; or None
-    by_sequence : the same for each sequence that a table names
-    """
-
-    of_all: Path | None = None
-    by_sequence: Mapping[str, Path] = field(default_factory=dict)
+    of_all: Path | None = None  # for every sequence
+    by_sequence: Mapping[str, Path] = field(default_factory=dict)  # for each that a table names
 
     @property
     def files(self) -> list[Path]:
@@ -409,11 +350,15 @@ class Backgrounds:
             return image, background_digest(image)
         if not self.by_sequence:
             return None, ""
-        without = [one for one in sequences if one not in self.by_sequence]
-        _refuse(without, "The table of backgrounds has no row for")
-        _refuse(
-            self.by_sequence.keys() - set(sequences), "The table of backgrounds names, and the input lacks,"
-        )
+        there = self.by_sequence.keys()
+        for said, names in (
+            ("The table of backgrounds has no row for", set(sequences) - there),
+            ("The table of backgrounds names, and the input lacks,", there - set(sequences)),
+        ):
+            if names:
+                named = ", ".join(repr(one) for one in sorted(names)[:3])
+                more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+                raise DataError(f"{said} {named}{more}. Names are those of the table frames.csv of a batch.")
         sha = hashlib.sha256()
         for name, path in sorted(self.by_sequence.items()):
             sha.update(f"{name}\0{background_digest(background_of_file(path, calibration))}\n".encode())
@@ -427,10 +372,10 @@ def backgrounds_of(path: Path | None) -> Backgrounds:
     """
     if path is None or path.suffix.lower() != ".csv":
         return Backgrounds(path)
-    rows = [row for _, row in table_rows(path, BACKGROUND_COLUMNS)]
+    rows = [row for _, row in table_rows(path, ("sequence", "background"))]
     if not rows:
         raise DataError(
-            f"Expected rows with the columns {' and '.join(BACKGROUND_COLUMNS)} in {path}. Name an image of the untouched "
+            f"Expected rows with the columns sequence and background in {path}. Name an image of the untouched "
             "gel for each sequence."
         )
     found = {row["sequence"]: path.parent / file_of(path.parent, row["background"]) for row in rows}
@@ -445,10 +390,3 @@ def background_of_file(path: Path, calibration: Calibration) -> NDArray[Any]:
         return image_of_calibration(Frame(read_background(path), 0.0, 0, 0), calibration)
     except GelformError as problem:
         raise DataError(f"The background {path}: {problem}") from problem
-
-
-def _refuse(sequences: Collection[str], said: str) -> None:
-    if sequences:
-        named = ", ".join(repr(one) for one in sorted(sequences)[:MOST_NAMED])
-        more = f" and {len(sequences) - MOST_NAMED} more" if len(sequences) > MOST_NAMED else ""
-        raise DataError(f"{said} {named}{more}. Names are those of the table frames.csv of a batch.")

@@ -1,24 +1,28 @@
-"""The record of each finished part, and the table of all frames.
-
-The table has one row per frame: as Parquet if pyarrow is installed, else as CSV.
-"""
+"""What an output says of itself: its manifest, a record of each finished part, the table of frames; its lock and check."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import shutil
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from gelform.batch.outputs.files import PARTS, OutputFile
-from gelform.errors import DataError
+from gelform import DataError, __version__
+from gelform.batch.outputs.array_files import INDEX
+from gelform.batch.outputs.files import FRAMES, PARTS, OutputFile, output_file
+from gelform.foundations.checks import check_path
 from gelform.foundations.files import table_text, written_file
+from gelform.foundations.findings import Progress, no_progress
 
-PARTS_IN_A_FOLDER = 1000  # records in one folder: folders with millions of files are slow
+MANIFEST, KIND, FORMAT_VERSION = "manifest.json", "gelform batch", 1
+LOCK, WAIT_S = ".gelform-batch.lock", 5.0
 COLUMNS: dict[str, str] = {  # name -> type in Parquet
     "sequence": "string",
     "frame": "string",
@@ -39,23 +43,122 @@ COLUMNS: dict[str, str] = {  # name -> type in Parquet
     "error": "string",
 }
 TABLES = {"parquet": "frames.parquet", "csv": "frames.csv"}
-PARTS_IN_A_GROUP = 100  # parts per row group of Parquet, which is in memory at once
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """Everything that determines the outputs."""
+
+    settings: dict[str, Any]  # of the batch, as in JSON
+    calibration_digest: str
+    background_digest: str  # empty without a background of its own
+    listing_digest: str
+    parts: int
+    images: int  # frames of videos and recordings are not counted
+    gelform_version: str = __version__  # that wrote it
+
+
+def read_manifest(output: Path) -> Manifest | None:
+    """The manifest of an output folder; None if there is none. DataError if it is damaged or of a newer format."""
+    path = output / MANIFEST
+    try:
+        content = json.loads(path.read_bytes())
+        kind, version = content.pop("format"), content.pop("format_version")
+        if kind == KIND and version > FORMAT_VERSION:
+            writer = content["gelform_version"]
+            raise DataError(
+                f"{path} has format version {version}, of gelform {writer}. Install that release."
+            )
+        if kind == KIND:
+            return Manifest(**content)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as problem:
+        raise DataError(f"Cannot read {path}: {problem.strerror}.") from problem
+    except (ValueError, KeyError, TypeError, AttributeError) as problem:
+        raise DataError(
+            f"{path} is damaged. Give another output folder, or start again with --overwrite."
+        ) from problem
+    raise DataError(f"{path} is no manifest of a batch. Give another output folder.")
+
+
+def begin(output: Path, wanted: Manifest, *, overwrite: bool) -> None:
+    """Check that an output is new or has the same manifest (DataError), then write it; `overwrite` empties the output."""
+    if overwrite and (output / MANIFEST).exists():
+        for name in (FRAMES, PARTS):
+            if (output / name).is_dir():
+                shutil.rmtree(output / name)
+        # The manifest goes last, so that an interrupted removal can be repeated.
+        for name in (*TABLES.values(), INDEX, "sheet.png", MANIFEST):
+            (output / name).unlink(missing_ok=True)
+    there = read_manifest(output)
+    if there is None:
+        others = [name for name in os.listdir(output) if not name.startswith(".")]
+        if others:
+            raise DataError(
+                f"{output} holds {sorted(others)[0]}, but no manifest of a batch. Give a new or an empty folder."
+            )
+        content = {"format": KIND, "format_version": FORMAT_VERSION, **vars(wanted)}
+        with written_file(output / MANIFEST, overwrite=True) as file:
+            file.write((json.dumps(content, indent=1) + "\n").encode())
+        return
+    words = {
+        "gelform_version": "the version of gelform",
+        "calibration_digest": "the calibration",
+        "background_digest": "the background",
+        "listing_digest": "the list of input files",
+    }
+    different = [text for name, text in words.items() if getattr(there, name) != getattr(wanted, name)]
+    for name in sorted(there.settings.keys() | wanted.settings.keys()):
+        both = there.settings.get(name), wanted.settings.get(name)
+        if both[0] != both[1]:
+            then, now = (",".join(map(str, one)) if isinstance(one, list) else one for one in both)
+            different.append(f"the setting {name} ({then} then, {now} now)")
+    if different:
+        raise DataError(
+            f"{output} was started with something else: {'; '.join(different)}. Give another output folder, or "
+            "start again with --overwrite, which deletes the old output."
+        )
+
+
+@contextmanager
+def only_run(output: Path, shard: tuple[int, int] = (1, 1)) -> Iterator[bool]:
+    """Lock an output folder during a run; yields whether no other run writes to it. DataError if the lock is taken.
+
+    A run of all parts holds the folder's lock, and a shard its own; each looks at the other's as it begins. The system
+    releases a lock however the process ends.
+    """
+    from filelock import FileLock, Timeout  # takes a tenth of a second, and most commands lock nothing
+
+    alone, whole = shard[1] == 1, output / LOCK
+    own = whole if alone else output / f"{LOCK}-{shard[0]}-of-{shard[1]}"
+    with ExitStack() as held:
+        try:
+            held.enter_context(FileLock(own, timeout=0))
+            for other in output.glob(f"{LOCK}-*") if alone else (whole,):
+                # Other shards look at the folder's lock too, for a moment.
+                with FileLock(other, timeout=0 if alone else WAIT_S):
+                    pass
+        except Timeout as problem:
+            raise DataError(
+                f"Another run of gelform batch writes to {output} now. Wait for it, or give another output folder."
+            ) from problem
+        except (OSError, NotImplementedError) as problem:
+            raise DataError(
+                f"Cannot lock {own}: {problem}. Give an output folder that can be written to, on a file system with locks."
+            ) from problem
+        yield alone
 
 
 @dataclass(frozen=True)
 class PartRecord:
-    """A finished part, or the end of a batch, which has files and no rows.
+    """A finished part, or the end of a batch, which has files and no rows."""
 
-    Attributes
-    ----------
-    input_digest : digest of the part's files (see `Part.input_digest`)
-    rows : a dict per frame: the table's columns, and `bytes` and `sha256` if the frame has its own file
-    files : files with several frames
-    """
-
-    input_digest: str
-    rows: tuple[dict[str, Any], ...]
-    files: tuple[OutputFile, ...] = ()
+    input_digest: str  # of the part's files (see `Part.input_digest`)
+    rows: tuple[
+        dict[str, Any], ...
+    ]  # of a frame: the table's columns; `bytes` and `sha256` of a file of its own
+    files: tuple[OutputFile, ...] = ()  # with several frames
 
     @property
     def outputs(self) -> list[OutputFile]:
@@ -68,25 +171,26 @@ class PartRecord:
         """Number of frames with an error."""
         return sum(bool(row["error"]) for row in self.rows)
 
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Numbers of frames, and of those with an error."""
+        return len(self.rows), self.errors
+
 
 def record_path(output: Path, number: int | None) -> Path:
     """The path of a part's record; None: of the record of the files that are written once all parts are done."""
     if number is None:
         return output / PARTS / "finished.json"
-    return output / PARTS / f"{number // PARTS_IN_A_FOLDER:05d}" / f"{number:08d}.json"
+    # A folder has a thousand: those with millions of files are slow.
+    return output / PARTS / f"{number // 1000:05d}" / f"{number:08d}.json"
 
 
 def write_record(output: Path, number: int | None, record: PartRecord) -> None:
     """Write a part's record, one line with its digest and one of JSON; this marks the part as done."""
     path = record_path(output, number)
     path.parent.mkdir(parents=True, exist_ok=True)
-    content = {
-        "input_digest": record.input_digest,
-        "rows": list(record.rows),
-        "files": [vars(file) for file in record.files],
-    }
+    line = json.dumps({**vars(record), "files": [vars(file) for file in record.files]}).encode()
     with written_file(path, overwrite=True) as file:
-        line = json.dumps(content).encode()
         file.write(_digest(line) + b"\n" + line)
 
 
@@ -120,11 +224,6 @@ def outputs_there(output: Path, record: PartRecord) -> bool:
         return False
 
 
-def files_of(output: Path, parts: int) -> list[str]:
-    """Files with several frames of all parts, in the order of the parts."""
-    return [file.path for record in done_records(output, parts) for file in record.files]
-
-
 def done_records(output: Path, parts: int) -> Iterator[PartRecord]:
     """The records of all parts; DataError if a part is not done."""
     for number in range(parts):
@@ -154,52 +253,111 @@ def write_table(output: Path, parts: int, form: str) -> None:
     """Write frames.parquet or frames.csv from the records of all parts; memory does not grow with their number."""
     with written_file(output / TABLES[form], overwrite=True) as file:
         if form == "csv":
-            for line in _lines(output, parts):
-                file.write(line)
+            rows = (row for record in done_records(output, parts) for row in record.rows)
+            for cells in chain([list(COLUMNS)], ([row[name] for name in COLUMNS] for row in rows)):
+                # File names may not be valid text.
+                file.write(table_text([cells]).encode("utf-8", "backslashreplace"))
             return
+        import pyarrow
         from pyarrow import parquet
 
-        with parquet.ParquetWriter(file, _schema()) as writer:
-            for group in _groups(output, parts):
-                writer.write_table(group)
-
-
-def _lines(output: Path, parts: int) -> Iterator[bytes]:
-    """The header, then the rows of each part."""
-    yield _csv([list(COLUMNS)])
-    for record in done_records(output, parts):
-        yield _csv([[row[column] for column in COLUMNS] for row in record.rows])
-
-
-def _csv(rows: Sequence[Sequence[Any]]) -> bytes:
-    return table_text(rows).encode("utf-8", "backslashreplace")  # file names may not be valid text
-
-
-def _groups(output: Path, parts: int) -> Iterator[Any]:
-    """pyarrow tables, one per hundred parts."""
-    group: list[Mapping[str, Any]] = []
-    for number, record in enumerate(done_records(output, parts), 1):
-        group += record.rows
-        if (number % PARTS_IN_A_GROUP == 0 or number == parts) and group:
-            yield _arrow_table(group)
-            group = []
-
-
-def _arrow_table(rows: Sequence[Mapping[str, Any]]) -> Any:
-    import pyarrow
-
-    schema = _schema()
-    columns = [pyarrow.array([_cell(row[name]) for row in rows], schema.field(name).type) for name in COLUMNS]
-    return pyarrow.table(columns, schema=schema)
-
-
-def _schema() -> Any:
-    import pyarrow
-
-    return pyarrow.schema([(name, pyarrow.type_for_alias(kind)) for name, kind in COLUMNS.items()])
+        schema = pyarrow.schema([(name, pyarrow.type_for_alias(kind)) for name, kind in COLUMNS.items()])
+        with parquet.ParquetWriter(file, schema) as writer:
+            group: list[dict[str, Any]] = []
+            for number, record in enumerate(done_records(output, parts), 1):
+                group += record.rows
+                if (
+                    number % 100 == 0 or number == parts
+                ) and group:  # parts of a row group, which is in memory
+                    columns = (([_cell(row[one.name]) for row in group], one.type) for one in schema)
+                    writer.write_table(pyarrow.table([pyarrow.array(*one) for one in columns], schema=schema))
+                    group = []
 
 
 def _cell(value: Any) -> Any:
+    """A value for Parquet: no text is null."""
     if isinstance(value, str):
         return value.encode("utf-8", "backslashreplace").decode() or None
     return value
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A fault of an output: the file and its problem."""
+
+    path: Path
+    what: str
+
+
+def verify_output(
+    output: str | os.PathLike[str], progress: Progress = no_progress
+) -> tuple[int, int, list[Problem]]:
+    """Read everything that a batch wrote and compare it with its records.
+
+    Returns
+    -------
+    frames : number of unchanged outputs
+    errors : number of frames without output because of an error, which the table states
+    problems : the faults; empty if the batch is done and complete
+
+    Raises
+    ------
+    DataError
+        No batch wrote the folder, or its manifest is damaged.
+    """
+    output = check_path(output)
+    manifest = read_manifest(output)
+    if manifest is None and output.is_dir() and all(one.name.startswith(".") for one in output.iterdir()):
+        raise DataError(f"{output} has no frame: its batch ended before the first one. Run the batch again.")
+    if manifest is None:
+        raise DataError(f"{output} has no manifest.json. Expected the output folder of gelform batch.")
+    problems: list[Problem] = []
+    expected: set[str] = set()
+    good = errors = missing = 0
+    for number in (*range(manifest.parts), None):
+        progress(manifest.parts if number is None else number, manifest.parts, "verifying")
+        try:
+            record = read_record(output, number)
+        except DataError as problem:
+            problems.append(Problem(output, str(problem)))
+            continue
+        if record is None:
+            if number is not None:
+                missing += 1
+            elif not missing:
+                what = "is missing, with the table and the contact sheet. Run the same command again."
+                problems.append(Problem(record_path(output, None), what))
+            continue
+        errors += record.errors
+        expected |= {file.path for file in record.outputs}
+        here = list(_problems_of_part(output, record))
+        problems += here
+        wrong = {one.path for one in here}
+        if not (record.files and wrong):  # a damaged file of several frames leaves none whole
+            good += sum(bool(row["output"]) and output / row["output"] not in wrong for row in record.rows)
+    if missing:
+        what = f"{missing} of {manifest.parts} parts are not done. Run the same command again."
+        problems.append(Problem(output, what))
+    else:  # a part in work has no record of its files yet
+        for folder, _, files in os.walk(output / FRAMES):
+            for path in (Path(folder) / name for name in sorted(files)):
+                is_hidden = path.name.startswith(".")  # a leftover of a killed run
+                if not is_hidden and path.relative_to(output).as_posix() not in expected:
+                    problems.append(Problem(path, "no part knows of it."))
+    return good, errors, problems
+
+
+def _problems_of_part(output: Path, record: PartRecord) -> Iterator[Problem]:
+    for file in record.outputs:
+        path = output / file.path
+        try:
+            there = output_file(output, path)
+        except FileNotFoundError:
+            yield Problem(path, "is missing. Run the same command again.")
+        except OSError as problem:
+            yield Problem(path, f"cannot be read: {problem.strerror}.")
+        else:
+            if there.bytes != file.bytes:
+                yield Problem(path, f"has {there.bytes} of {file.bytes} bytes. Run the same command again.")
+            elif there != file:
+                yield Problem(path, "was altered. Delete it and run the same command again.")

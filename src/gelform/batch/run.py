@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform import DataError, Frame
 from gelform.batch.inputs import (
     Listing,
     Part,
@@ -24,31 +25,31 @@ from gelform.batch.inputs import (
     plan_of,
     shard_of,
 )
-from gelform.batch.manifest import Manifest, begin, only_run, read_manifest
-from gelform.batch.outputs.files import FRAMES, PARTS, check_names, output_file, write_output
+from gelform.batch.outputs.files import FRAMES, PARTS, BatchSettings, check_names, output_file, write_output
 from gelform.batch.outputs.lerobot import EPISODES, check_lerobot_source
 from gelform.batch.outputs.writers import WRITERS, depth_of_row
 from gelform.batch.records import (
     TABLES,
+    Manifest,
     PartRecord,
-    files_of,
+    begin,
+    done_records,
+    only_run,
     outputs_there,
+    read_manifest,
     read_record,
     record_path,
     table_form,
     write_record,
     write_table,
 )
-from gelform.batch.settings import BatchSettings
 from gelform.batch.work import Engine, Job
 from gelform.calibration.library.library import choose_calibration, unit_of_all
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.errors import DataError
 from gelform.exchange.exporters.press_folder import check_room
 from gelform.foundations.checks import check_path
 from gelform.foundations.findings import FrameTally
 from gelform.foundations.pictures import picture_bytes
-from gelform.image.frame import Frame
 
 Pitch = float | Sequence[float]
 SHEET = "sheet.png"
@@ -57,11 +58,7 @@ TILE_PX, LABEL_PX, GAP_PX = (
     200,
     50,
     8,
-)  # px: width of a tile, height of the text below it, gap right of it and below
-GAP_LEVEL = 90  # gray level of gaps
-BAR = np.linspace(0, 255, 60).astype(np.uint8)  # the color bar of a tile, gray levels of its px
-ROUND_MM = (0.5, 1, 2, 5, 10)  # mm, lengths of a scale
-LEAST_RANGE_MM = 0.1  # mm, smallest range of a tile's colors, so that a gel at rest stays dark
+)  # width of a tile, height of the text below it, gap right of it and below
 
 
 def finish(
@@ -72,7 +69,8 @@ def finish(
     if done is None or not outputs_there(output, done):
         for name in TABLES.values():  # of an earlier state of the parts
             (output / name).unlink(missing_ok=True)
-        files = WRITERS[manifest.settings["form"]].finish(output, files_of(output, manifest.parts), source)
+        of_parts = [file.path for record in done_records(output, manifest.parts) for file in record.files]
+        files = WRITERS[manifest.settings["form"]].finish(output, of_parts, source)
         sheet = sheet_bytes(output, manifest, mm_per_px)
         if sheet:
             files.append(write_output(output, output / SHEET, sheet))
@@ -86,17 +84,24 @@ def finish(
 
 
 def sheet_bytes(output: Path, manifest: Manifest, mm_per_px: Pitch | None = None) -> bytes:
-    """The contact sheet of up to 24 frames; empty if depth was not kept.
+    """The contact sheet of up to 24 random frames; empty if depth was not kept.
 
-    The choice depends only on the list of inputs, so that the same data set gives the same sheet.
+    The choice depends only on the list of inputs, so that the same data set gives the same sheet. Parts are drawn first, so
+    that at most one record is read per frame.
     """
-    return contact_sheet(
-        [
-            (depth, f"{row['sequence']}/{row['frame']}", f"{_deepest(row)} {row['health']}")
-            for depth, row in _choose_frames(output, manifest)
-        ],
-        mm_per_px,
-    )
+    rng = np.random.default_rng(int(manifest.listing_digest[:16], 16))
+    numbers = np.sort(rng.permutation(manifest.parts)[: COLUMNS * ROWS])
+    frames = []
+    for number in numbers.tolist():
+        record = read_record(output, number)
+        rows = [row for row in record.rows if row["output"]] if record else []
+        for k in np.sort(rng.permutation(len(rows))[: -(-COLUMNS * ROWS // len(numbers))]):
+            row, depth = rows[k], depth_of_row(output, manifest.settings["form"], rows[k])
+            if depth is not None:
+                deepest_mm = row["deepest_mm"]  # no number if depth is known in no pixel
+                deepest = f"{deepest_mm:.3f} mm" if isinstance(deepest_mm, float) else "unknown"
+                frames.append((depth, f"{row['sequence']}/{row['frame']}", f"{deepest} {row['health']}"))
+    return contact_sheet(frames[: COLUMNS * ROWS], mm_per_px)
 
 
 def contact_sheet(
@@ -104,72 +109,44 @@ def contact_sheet(
 ) -> bytes:
     """A PNG of frames, each from 0 (dark) to its own deepest point, with a color bar and a scale; empty without frames.
 
-    Parameters
-    ----------
-    frames : depth (H, W), name and note of each
-    mm_per_px : of the images, mm, or (x, y); None leaves out the scale
-    unit : of the depths
+    `frames` are depth (H, W) in a unit, name and note of each; `mm_per_px`, or (x, y), is of the images: None leaves out the
+    scale.
     """
     pitch = None if mm_per_px is None else float(np.ravel(mm_per_px)[0])
     tiles = [_tile(*frame, pitch, unit) for frame in frames]
     if not tiles:
         return b""
     blank = np.zeros_like(tiles[0])
-    blank[-GAP_PX:] = blank[:, -GAP_PX:] = GAP_LEVEL
+    blank[-GAP_PX:] = blank[:, -GAP_PX:] = 90
     tiles += [blank] * (-len(tiles) % COLUMNS)
     lines = [np.hstack(tiles[k : k + COLUMNS]) for k in range(0, len(tiles), COLUMNS)]
     return picture_bytes(np.vstack(lines)[..., ::-1])  # OpenCV colors tiles in BGR
 
 
-def _choose_frames(output: Path, manifest: Manifest) -> list[tuple[NDArray[Any], dict[str, Any]]]:
-    """Depth and row of random frames; parts are drawn first, so that at most one record is read per frame."""
-    rng = np.random.default_rng(int(manifest.listing_digest[:16], 16))
-    wanted, form = COLUMNS * ROWS, manifest.settings["form"]
-    numbers = np.sort(rng.permutation(manifest.parts)[:wanted])
-    each = -(-wanted // len(numbers))
-    chosen = []
-    for number in numbers.tolist():
-        record = read_record(output, number)
-        rows = [row for row in record.rows if row["output"]] if record else []
-        for k in np.sort(rng.permutation(len(rows))[:each]):
-            depth = depth_of_row(output, form, rows[k])
-            if depth is not None:
-                chosen.append((depth, rows[k]))
-    return chosen[:wanted]
-
-
 def _tile(depth: NDArray[Any], name: str, note: str, pitch: float | None, unit: str) -> NDArray[np.uint8]:
     """Depth as colors with three lines below: color bar and scale, the frame's name, its deepest point and findings."""
     depth = np.nan_to_num(depth, nan=0.0)
-    deepest = max(float(depth.max()), LEAST_RANGE_MM)
+    deepest = max(float(depth.max()), 0.1)  # mm; a gel at rest stays dark
     levels = np.clip(255 * depth / deepest, 0, 255).astype(np.uint8)
     height = round(TILE_PX * depth.shape[0] / depth.shape[1])
     small = cv2.resize(levels, (TILE_PX, height), interpolation=cv2.INTER_AREA)
     tile = np.vstack(
         [cv2.applyColorMap(small, cv2.COLORMAP_VIRIDIS), np.zeros((LABEL_PX, TILE_PX, 3), np.uint8)]
     )
-    tile[height + 6 : height + 14, 14 : 14 + len(BAR)] = cv2.applyColorMap(BAR[None], cv2.COLORMAP_VIRIDIS)
+    bar = np.linspace(0, 255, 60).astype(np.uint8)[None]
+    tile[height + 6 : height + 14, 14:74] = cv2.applyColorMap(bar, cv2.COLORMAP_VIRIDIS)
     name = name.encode("ascii", "replace").decode()
     texts = [("0", 4, 14), (f"{deepest:.2f} {unit}", 78, 14), (name[-32:], 4, 30), (note[:32], 4, 44)]
     if pitch is not None:
         px_per_mm = TILE_PX / (depth.shape[1] * pitch)
-        length_mm = max((one for one in ROUND_MM if one * px_per_mm <= 40), default=ROUND_MM[0])
+        length_mm = max((one for one in (0.5, 1, 2, 5, 10) if one * px_per_mm <= 40), default=0.5)
         tile[height + 9 : height + 11, TILE_PX - round(length_mm * px_per_mm) - 2 : TILE_PX - 2] = 255
         texts.append((f"{length_mm:g} mm", TILE_PX - 42, 24))
     for text, x, y in texts:
         cv2.putText(
             tile, text, (x, height + y), cv2.FONT_HERSHEY_SIMPLEX, 0.36, (255, 255, 255), 1, cv2.LINE_AA
         )
-    return cv2.copyMakeBorder(tile, 0, GAP_PX, 0, GAP_PX, cv2.BORDER_CONSTANT, value=[GAP_LEVEL] * 3)
-
-
-def _deepest(row: dict[str, Any]) -> str:
-    """The deepest point as text; a row has no number if depth is known in no pixel."""
-    return f"{row['deepest_mm']:.3f} mm" if isinstance(row["deepest_mm"], float) else "unknown"
-
-
-LOOKED_AT = 5  # sequences that are checked for frames of the calibrated size
-LEFTOVERS = ".gelform-*.tmp"
+    return cv2.copyMakeBorder(tile, 0, GAP_PX, 0, GAP_PX, cv2.BORDER_CONSTANT, value=[90] * 3)
 
 
 @dataclass(frozen=True)
@@ -271,12 +248,13 @@ def run_batch(
     listing = listing_of(source, leave_out=backgrounds.files, dataset=dataset)
     check_apart(listing, output)
     calibration = given or _with_scale(_choose_calibration(listing, output, options.overwrite, chosen))
-    check_names([sequence.name for sequence in listing.sequences], settings)
+    names = [sequence.name for sequence in listing.sequences]
+    check_names(names, settings)
     if settings.form == "lerobot":
         check_lerobot_source(listing.root, {sequence.dataset for sequence in listing.sequences})
     plan = plan_of(listing, settings.frames_in_a_part, settings.background_frames, settings.bgr)
     parts = shard_of(plan, options.shard)
-    untouched, digest = backgrounds.read([sequence.name for sequence in listing.sequences], calibration)
+    untouched, digest = backgrounds.read(names, calibration)
     _check_size(plan, calibration)
     images = sum(len(sequence.images) for sequence in listing.sequences)
     digests = calibration.digest, digest, listing.digest
@@ -291,7 +269,15 @@ def run_batch(
         if alone:
             _clean(output, todo, settings.form)
         job = Job(calibration, untouched, output, settings, backgrounds.by_sequence)
-        _do(job, todo, engine, options.max_errors, summary, progress)
+        with closing(engine.done(job, todo)) as done:
+            for frames, errors in done:
+                summary.parts_done += 1
+                summary.frames += frames
+                summary.errors += errors
+                progress(summary)
+                summary.stopped = summary.errors > options.max_errors
+                if summary.stopped:
+                    break
         _count(output, parts, summary.tally)
         if not summary.stopped and all(record_path(output, part.number).exists() for part in plan):
             finish(output, manifest, table, listing.root, calibration.mm_per_px)
@@ -312,8 +298,7 @@ def _choose_calibration(
 ) -> Calibration:
     """The library's calibration of the unit that the input names; a continued run keeps the one that it started with."""
     unit = unit_of_all(sequence.path for sequence in listing.sequences)
-    begun = None if anew else read_manifest(output)
-    if begun is not None:
+    if begun := None if anew else read_manifest(output):
         unit = replace(unit, digest=begun.calibration_digest, carries=None)
     choice = choose_calibration(unit)
     said(choice.said)
@@ -335,7 +320,7 @@ def _check_size(plan: Sequence[Part], calibration: Calibration) -> None:
     """Refuse, before writing anything, an input without frames of the calibrated size."""
     first = {part.film.name: part for part in reversed(plan)}
     problems = []
-    for part in islice(reversed(first.values()), LOOKED_AT):
+    for part in islice(reversed(first.values()), 5):
         index, frame = next(frames_of_part(part, calibration.most_pixels), (0, None))
         if not isinstance(frame, Frame):
             continue
@@ -368,18 +353,17 @@ def _not_done(
     """Parts without a record, or whose inputs changed or outputs are missing; the others are counted."""
     for part in parts:
         record = read_record(output, part.number)
-        valid = record is not None and record.input_digest == part.input_digest()
         if (
             record is None
-            or not valid
+            or record.input_digest != part.input_digest()
             or (retry_errors and record.errors)
             or not outputs_there(output, record)
         ):
             yield part
-            continue
-        summary.parts_done += 1
-        summary.frames_before += len(record.rows)
-        summary.errors += record.errors
+        else:
+            summary.parts_done += 1
+            summary.frames_before += len(record.rows)
+            summary.errors += record.errors
 
 
 def _clean(output: Path, todo: Sequence[Part], form: str) -> None:
@@ -391,9 +375,10 @@ def _clean(output: Path, todo: Sequence[Part], form: str) -> None:
         above = {output / FRAMES / one for part in todo for one in PurePosixPath(part.film.name).parents}
         deep, shallow = shallow, above
     shallow |= {record_path(output, part.number).parent for part in todo} | {output, output / PARTS}
-    for folders, pattern in ((deep, f"**/{LEFTOVERS}"), (shallow, LEFTOVERS)):
-        for left in (one for folder in folders for one in folder.glob(pattern)):
-            left.unlink(missing_ok=True)
+    left = [path for folder in shallow for path in folder.glob(".gelform-*.tmp")]
+    left += [path for folder in deep for path in folder.rglob(".gelform-*.tmp")]
+    for path in left:
+        path.unlink(missing_ok=True)
 
 
 def _count(output: Path, parts: Sequence[Part], tally: FrameTally) -> None:
@@ -404,22 +389,3 @@ def _count(output: Path, parts: Sequence[Part], tally: FrameTally) -> None:
                 tally.add_failed(row["error"])
             else:
                 tally.add(row["health"].split(), known=row["deepest_mm"] != "")
-
-
-def _do(
-    job: Job,
-    todo: Sequence[Part],
-    engine: Engine,
-    max_errors: int,
-    summary: BatchSummary,
-    progress: Callable[[BatchSummary], Any],
-) -> None:
-    with closing(engine.done(job, todo)) as done:
-        for _, frames, errors in done:
-            summary.parts_done += 1
-            summary.frames += frames
-            summary.errors += errors
-            progress(summary)
-            if summary.errors > max_errors:
-                summary.stopped = True
-                return

@@ -1,8 +1,6 @@
 """The work on one part, a pure function, and its engines: this process, a pool of processes, or Ray.
 
-The engines of a batch: this process, a pool of processes on this machine, or Ray. Parts may end in any order.
-
-Ray's machines must see the same files under the same paths.
+Parts may end in any order. Ray's machines must see the same files under the same paths.
 """
 
 from __future__ import annotations
@@ -14,30 +12,28 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import islice
 from multiprocessing.sharedctypes import RawValue
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 from numpy.typing import NDArray
 
+from gelform import Calibration, Frame, Reconstructor
 from gelform.batch.inputs import (
     Part,
     background_of_file,
-    background_of_sequence,
+    background_of_film,
     frames_of_part,
     image_of_calibration,
 )
-from gelform.batch.outputs.files import PartTarget, PartWriter, facts_of
+from gelform.batch.outputs.files import BatchSettings, PartTarget, PartWriter, facts_of
 from gelform.batch.outputs.writers import WRITERS
 from gelform.batch.records import COLUMNS, PartRecord, write_record
-from gelform.batch.settings import BatchSettings
-from gelform.calibration_file import Calibration
 from gelform.errors import GelformError, needed, reason
 from gelform.foundations.checks import check_choice
 from gelform.foundations.processes import WorkerLostError, interrupt_held, worker_processes
-from gelform.image.frame import Frame
-from gelform.reconstruct import Reconstructor
 
 
 class Stopped(Exception):
@@ -56,7 +52,7 @@ class Job:
 
 
 class Worker:
-    """Does parts one after the other; prepares the Reconstructor once, or once per sequence with its own background."""
+    """Does parts one after the other; prepares the Reconstructor once, or once per film with its own background."""
 
     def __init__(self, job: Job) -> None:
         self.job = job
@@ -65,20 +61,17 @@ class Worker:
 
     def do(self, part: Part, stop: Callable[[], bool] = bool) -> PartRecord:
         """Write the outputs of a part, then its record, with the same bytes each time; Stopped if `stop()` returns True."""
-        digest, rows = part.input_digest(), []
-        with WRITERS[self.job.settings.form].writer(self._target(part)) as writer:
-            for index, frame in frames_of_part(part, self.job.calibration.most_pixels):
+        job, calibration, digest, rows = self.job, self.job.calibration, part.input_digest(), []
+        facts = {"mm_per_px": calibration.mm_per_px, "calibration_digest": calibration.digest}
+        target = PartTarget(job.output, part, job.settings, calibration.image_shape, facts)
+        with WRITERS[job.settings.form].writer(target) as writer:
+            for index, frame in frames_of_part(part, calibration.most_pixels):
                 if stop():
                     raise Stopped
                 rows.append(self._row(part, index, frame, writer))
         record = PartRecord(digest, tuple(rows), tuple(writer.files))
-        write_record(self.job.output, part.number, record)
+        write_record(job.output, part.number, record)
         return record
-
-    def _target(self, part: Part) -> PartTarget:
-        calibration = self.job.calibration
-        facts = {"mm_per_px": calibration.mm_per_px, "calibration_digest": calibration.digest}
-        return PartTarget(self.job.output, part, self.job.settings, calibration.image_shape, facts)
 
     def _row(
         self, part: Part, index: int, frame: Frame | BaseException, writer: PartWriter
@@ -86,80 +79,62 @@ class Worker:
         """Write a frame's output; return its row for the table and the record."""
         row: dict[str, Any] = dict.fromkeys(COLUMNS, "")
         row |= {"sequence": part.film.name, "frame": part.name_of(index), "index": index}
-        error, prepared, facts = "", None, {}
+        error, prepared = "", None
         if isinstance(frame, Frame):
             times = {"time_s": frame.time_s, "wall_time_ns": frame.wall_time_ns} if part.film.is_timed else {}
             row |= times
             try:
                 image = image_of_calibration(frame, self.job.calibration)
                 result = self._prepared(part).from_image(image).changed(index=frame.index, **times)
-                prepared, facts = writer.prepared(result), facts_of(result)
+                prepared, numbers = writer.prepared(result), facts_of(result)
+                row |= numbers
             except (GelformError, MemoryError) as problem:
                 error = reason(problem)
             except Exception as problem:  # a bug with one frame must not end a run of a million
                 error = f"bug of gelform: {type(problem).__name__}: {problem}"
         else:
             error = reason(frame)
-        row |= {**facts, "error": " ".join(error.split())} if prepared is None else facts
+        row["error"] = " ".join(error.split())
         return row | writer.add(part.name_of(index), index, prepared)
 
     def _prepared(self, part: Part) -> Reconstructor:
-        """The Reconstructor of a part's sequence; a refused background raises its error again."""
-        per_sequence = self.job.settings.background_frames or self.job.background_files
-        own = part.film.name if per_sequence else None
+        """The Reconstructor of a part's film; a refused background raises its error again."""
+        job, name = self.job, part.film.name
+        own = name if job.settings.background_frames or job.background_files else None
         if self._prepared_for != (own,):
-            self._prepared_for = (own,)
+            self._prepared_for, background = (own,), job.background
             try:
-                self._reconstruct = self._with_background(part)
+                if job.settings.background_frames:
+                    background = background_of_film(part, job.settings.background_frames, job.calibration)
+                elif job.background_files:
+                    background = background_of_file(job.background_files[name], job.calibration)
+                self._reconstruct = Reconstructor(
+                    job.calibration, background=background, solver=job.settings.solver
+                )
             except GelformError as problem:
                 self._reconstruct = problem
         if isinstance(self._reconstruct, GelformError):
             raise self._reconstruct
         return self._reconstruct
 
-    def _with_background(self, part: Part) -> Reconstructor:
-        settings, background = self.job.settings, self.job.background
-        if settings.background_frames:
-            background = background_of_sequence(part, settings.background_frames, self.job.calibration)
-        elif self.job.background_files:
-            background = background_of_file(self.job.background_files[part.film.name], self.job.calibration)
-        return Reconstructor(
-            self.job.calibration,
-            background=background,
-            solver=settings.solver,
-        )
-
 
 NOTHING_LOST = "What is done is kept, and not done again."
 TRIES_AGAIN = 5  # repetitions of a part whose worker or machine is lost; its bytes are the same
-WAITING_PER_CPU = 2  # queued tasks: a worker never waits, and memory holds no million tasks
-MEMORY_BYTES = 600 << 20  # memory of a task that Ray reserves
+Counts = tuple[int, int]  # frames of a part, and those with an error
 
 _worker: Worker | None = None
 _stop: Any = None
 _run: str | None = None  # the Ray run that the worker was made for
 
 
-class DoneParts(Protocol):
-    """Does parts; yields each finished part with its numbers of frames and of errors.
-
-    Closing the iterator ends the work between two frames; unfinished parts leave no record. Raises WorkerLostError if
-    workers were killed, and DataError if an output cannot be written.
-    """
-
-    def __call__(
-        self, job: Job, parts: Sequence[Part], workers: int, address: str | None = None
-    ) -> Generator[tuple[Part, int, int], None, None]: ...
-
-
 def done_parts(
     job: Job, parts: Sequence[Part], workers: int, address: str | None = None
-) -> Generator[tuple[Part, int, int], None, None]:
-    """Do parts in this process, or in several on this machine; takes no address (see `DoneParts`)."""
+) -> Generator[Counts, None, None]:
+    """Do parts in this process, or in several on this machine, without an address (see `ENGINES`)."""
     if workers == 1:
         worker = Worker(job)
         for part in parts:
-            yield part, *_counts(worker.do(part))
+            yield worker.do(part).counts
         return
     stop = RawValue("b", 0)  # without a lock, which a killed worker would hold forever
     with tempfile.TemporaryDirectory(prefix="gelform-batch-") as folder:
@@ -168,40 +143,46 @@ def done_parts(
         with worker_processes(workers, _prepare, shared, stop, kept=NOTHING_LOST) as pool:
             try:
                 with interrupt_held():
-                    waiting = {pool.submit(_do, part): part for part in parts}
+                    waiting = [pool.submit(_do, part) for part in parts]
                 for future in as_completed(waiting):
-                    yield waiting.pop(future), *future.result()
+                    yield future.result()
             finally:
                 stop.value = 1
 
 
 def done_parts_on_ray(
     job: Job, parts: Sequence[Part], workers: int, address: str | None = None
-) -> Generator[tuple[Part, int, int], None, None]:
-    """Do parts as Ray tasks with one CPU each (see `DoneParts`); without an address, start Ray here."""
+) -> Generator[Counts, None, None]:
+    """Do parts as Ray tasks with one CPU each (see `ENGINES`); without an address, start Ray here."""
     ray = needed("ray", "ray", "The engine ray")
     with _connected(ray, workers, address):
-        do = ray.remote(num_cpus=1, memory=MEMORY_BYTES, max_retries=TRIES_AGAIN)(_do_on_ray)
+        # It reserves memory for each task.
+        do = ray.remote(num_cpus=1, memory=600 << 20, max_retries=TRIES_AGAIN)(_do_on_ray)
         run, shared, todo = secrets.token_hex(8), ray.put(job), iter(parts)
-        most = WAITING_PER_CPU * max(1, int(ray.cluster_resources().get("CPU", 1)))
-        waiting: dict[Any, Part] = {}
+        # Two tasks for each CPU are queued: a worker never waits, and memory holds no million tasks.
+        most = 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
+        waiting: list[Any] = []
         try:
             while True:
-                for part in todo:
-                    waiting[do.remote(run, shared, part)] = part
-                    if len(waiting) >= most:
-                        break
+                for part in islice(todo, most - len(waiting)):
+                    waiting.append(do.remote(run, shared, part))
                 if not waiting:
                     return
-                (done,), _ = ray.wait(list(waiting), num_returns=1)
-                yield waiting.pop(done), *_result(ray, done)
+                (done,), waiting = ray.wait(waiting, num_returns=1)
+                yield _result(ray, done)
         finally:
             for one in waiting:
                 ray.cancel(one)
-            ray.wait(list(waiting), num_returns=len(waiting), timeout=10) if waiting else None
+            ray.wait(waiting, num_returns=len(waiting), timeout=10) if waiting else None
 
 
-ENGINES: dict[str, DoneParts] = {"pool": done_parts, "ray": done_parts_on_ray}
+# Does parts, at most so many at once; gives the counts of each as it is finished. Closing the generator ends the work
+# between two frames; unfinished parts leave no record. Raises WorkerLostError if workers were killed, and DataError if an
+# output cannot be written.
+ENGINES: dict[str, Callable[..., Generator[Counts, None, None]]] = {
+    "pool": done_parts,
+    "ray": done_parts_on_ray,
+}
 
 
 @dataclass(frozen=True)
@@ -231,14 +212,10 @@ class Engine:
         if self.address is not None and self.name != "ray":
             raise ValueError(f"Expected an address with the engine ray, got one with {self.name}.")
 
-    def done(self, job: Job, parts: Sequence[Part]) -> Generator[tuple[Part, int, int], None, None]:
-        """Do parts (see `DoneParts`)."""
+    def done(self, job: Job, parts: Sequence[Part]) -> Generator[Counts, None, None]:
+        """Do parts (see `ENGINES`)."""
         workers = min(self.workers, max(1, len(parts)))
         return ENGINES[self.name](job, parts, workers, self.address)
-
-
-def _counts(record: PartRecord) -> tuple[int, int]:
-    return len(record.rows), record.errors
 
 
 def _prepare(shared: Path, stop: Any) -> None:
@@ -247,21 +224,21 @@ def _prepare(shared: Path, stop: Any) -> None:
     _worker, _stop = Worker(pickle.loads(shared.read_bytes())), stop
 
 
-def _do(part: Part) -> tuple[int, int]:
+def _do(part: Part) -> Counts:
     assert _worker is not None
     try:
-        return _counts(_worker.do(part, lambda: bool(_stop.value)))
+        return _worker.do(part, lambda: bool(_stop.value)).counts
     except Stopped:
         return 0, 0
 
 
-def _do_on_ray(run: str, job: Job, part: Part) -> tuple[int, int]:
+def _do_on_ray(run: str, job: Job, part: Part) -> Counts:
     """Do a part in a worker process of Ray; each worker prepares the Reconstructor once."""
     global _worker, _run
     if _worker is None or _run != run:
         cv2.setNumThreads(1)
         _worker, _run = Worker(job), run
-    return _counts(_worker.do(part))
+    return _worker.do(part).counts
 
 
 @contextmanager
@@ -283,11 +260,11 @@ def _connected(ray: Any, workers: int, address: str | None) -> Any:
         ray.shutdown()
 
 
-def _result(ray: Any, done: Any) -> tuple[int, int]:
+def _result(ray: Any, done: Any) -> Counts:
     """The result of a task; its errors are raised here unchanged."""
     lost = ray.exceptions.WorkerCrashedError, ray.exceptions.NodeDiedError, ray.exceptions.OutOfMemoryError
     try:
-        counts: tuple[int, int] = ray.get(done)
+        counts: Counts = ray.get(done)
         return counts
     except ray.exceptions.RayTaskError as problem:
         if isinstance(problem.cause, GelformError):

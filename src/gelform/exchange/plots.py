@@ -1,13 +1,11 @@
-"""Pictures of results, of explanations, and of two calibrations side by side (extra `plots`).
+"""Pictures of results, of explanations, and of two calibrations side by side; needs matplotlib, the extra `plots`.
 
-Common parts of all pictures: an off-screen figure, its colors, its panels, and its file.
-
-Needs matplotlib, the extra `plots`. Figures are drawn off screen; matplotlib's global state stays unchanged.
+Figures are drawn off screen; matplotlib's global state stays unchanged.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
@@ -56,10 +54,7 @@ def pixels_of(figure: Any) -> Image:
 def save_picture(path: str | PathLike[str], picture: ArrayLike, *, overwrite: bool = False) -> None:
     """Write an RGB picture (h, w, 3) uint8 as PNG, completely or not at all.
 
-    Raises
-    ------
-    DataError
-        The file exists and `overwrite` is False, or it cannot be written.
+    DataError: the file exists and `overwrite` is False, or it cannot be written.
     """
     content = picture_bytes(check_image(picture, name="picture").astype(np.uint8))
     with written_file(path, overwrite=overwrite) as handle:
@@ -72,20 +67,20 @@ def draw_map(axes: Any, values: ArrayLike, title: str, **style: Any) -> Any:
     NaN, which means unknown, is hatched.
     """
     shown = axes.imshow(values, interpolation="nearest", **style)
-    hatch_behind(axes)
+    _hatch_behind(axes)
     axes.set_title(title, fontsize=10, color=INK)
     axes.set_xticks([])
     axes.set_yticks([])
     return shown
 
 
-def hatch_behind(axes: Any) -> None:
+def _hatch_behind(axes: Any) -> None:
     """Hatch the axes' background, which shows where a map is NaN (unknown)."""
     axes.set_facecolor(GRID)
     axes.patch.set(hatch="///", edgecolor=FAINT, linewidth=0)
 
 
-def style_profiles(axes: Any, title: str, unit: str) -> None:
+def _style_profiles(axes: Any, title: str, unit: str) -> None:
     """The frame around depth profiles: zero line, faint grid, labels in the unit of both axes."""
     axes.axhline(0, color=FAINT, linewidth=0.8, zorder=1)
     axes.margins(x=0.01, y=0.12)
@@ -97,12 +92,19 @@ def style_profiles(axes: Any, title: str, unit: str) -> None:
     axes.set_ylabel(f"depth ({unit})")
 
 
-def known_depth(result: Reconstruction, depth: Map) -> Map:
+def _known(result: Reconstruction, depth: Map) -> Map:
     """A depth of the result for drawing: NaN where it was filled without information."""
     return np.where(result.known, depth, np.float32(np.nan))
 
 
-def in_words(depth: float) -> str:
+def _in_unit(result: Reconstruction) -> tuple[Map, str, tuple[float, float]]:
+    """Depth (H, W) for drawing, its unit, mm, or px without a scale, and in it the pitch (x, y) of a pixel."""
+    if result.mm_per_px is None:
+        return _known(result, result.depth_px), "px", (1.0, 1.0)
+    return _known(result, result.depth_mm), "mm", check_mm_per_px(result.mm_per_px)
+
+
+def _in_words(depth: float) -> str:
     """A depth to the micrometer; a dash if it is unknown."""
     return "–" if np.isnan(depth) else f"{depth:.3f}"
 
@@ -144,7 +146,7 @@ def picture(result: Reconstruction, image: ArrayLike | None = None) -> Image:
     """
     shape = check_is(result, Reconstruction, "result").shape
     shown = None if image is None else check_image(image, shape=shape).astype(np.uint8)
-    row, column = deepest_px(_depth(result))
+    row, column = deepest_px(_in_unit(result)[0])
     aspect, panels = shape[0] / shape[1], 3 if shown is None else 4
     upper = (WIDTH - 1.1) / panels * aspect + 0.75 + 0.2 * len(result.health)  # inches, as the maps need
     heights = upper, max(4.2, (WIDTH / 2 - 1.5) * aspect + 0.9)
@@ -159,29 +161,16 @@ def picture(result: Reconstruction, image: ArrayLike | None = None) -> Image:
 
 
 def _headline_of_result(result: Reconstruction, row: int, column: int) -> str:
-    pitch_x, pitch_y = _pitch(result)
-    area, unit = np.count_nonzero(result.contact) * pitch_x * pitch_y, _unit(result)
+    depth, unit, (pitch_x, pitch_y) = _in_unit(result)
+    area = np.count_nonzero(result.contact) * pitch_x * pitch_y
     facts = [
-        f"deepest {in_words(_depth(result)[row, column])} {unit}",
+        f"deepest {_in_words(depth[row, column])} {unit}",
         f"contact {area:.1f} {unit}²",
         f"{pitch_x:.4g} mm/px" if result.mm_per_px is not None else "scale unknown",
         f"zero: {result.zero}",
         f"solver: {result.solver}",
     ]
     return "   |   ".join(facts) + "".join(f"\n! {finding.message}" for finding in result.health)
-
-
-def _pitch(result: Reconstruction) -> tuple[float, float]:
-    """Pitch of a pixel, (x, y), in the picture's unit."""
-    return (1.0, 1.0) if result.mm_per_px is None else check_mm_per_px(result.mm_per_px)
-
-
-def _depth(result: Reconstruction) -> Map:
-    return known_depth(result, result.depth_mm if result.mm_per_px is not None else result.depth_px)
-
-
-def _unit(result: Reconstruction) -> str:
-    return "px" if result.mm_per_px is None else "mm"
 
 
 def _draw_maps(figure: Any, result: Reconstruction, image: Image | None) -> None:
@@ -204,14 +193,14 @@ def _draw_maps(figure: Any, result: Reconstruction, image: Image | None) -> None
 
 
 def _draw_depth(figure: Any, axes: Any, result: Reconstruction, row: int, column: int) -> None:
-    depth, unit, (pitch_x, pitch_y) = _depth(result), _unit(result), _pitch(result)
+    depth, unit, (pitch_x, pitch_y) = _in_unit(result)
     height, width = depth.shape
     left, right = -pitch_x / 2, (width - 0.5) * pitch_x  # the first pixel's center is at 0
     low, high = (height - 0.5) * pitch_y, -pitch_y / 2
     shown = axes.imshow(
         depth, cmap=MAPS["depth_mm"].colors, extent=(left, right, low, high), interpolation="nearest"
     )
-    hatch_behind(axes)
+    _hatch_behind(axes)
     figure.colorbar(shown, ax=axes, shrink=0.92, pad=0.015, label=f"depth ({unit}, 0 at rest)")
     if result.contact.any() and not result.contact.all():
         x, y = np.arange(width) * pitch_x, np.arange(height) * pitch_y
@@ -219,23 +208,19 @@ def _draw_depth(figure: Any, axes: Any, result: Reconstruction, row: int, column
     if result.known.any():
         axes.axhline(row * pitch_y, color=ORANGE, linewidth=1, alpha=0.9)
         axes.axvline(column * pitch_x, color=BLUE, linewidth=1, alpha=0.9)
-    _draw_markers(axes, result)
     _draw_scale_bar(axes, left, right, low, high, unit)
-    arrows = "" if result.markers is None else "; arrows: markers moved"
+    flow = result.markers
+    if flow is not None and len(
+        flow
+    ):  # an arrow from each place at rest; markers that were not found are paler
+        (x, y), (dx, dy) = (one.T * [[pitch_x], [pitch_y]] for one in (flow.rest_px, flow.displacement_px))
+        shades = [(1.0, 1.0, 1.0, 1.0 if seen else 0.3) for seen in flow.seen]
+        how = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004, "headwidth": 4}
+        axes.quiver(x, y, dx, dy, color=shades, **how)
+    arrows = "" if flow is None else "; arrows: markers moved"
     axes.set_title(f"depth, the contact outlined{arrows}", fontsize=10, color=INK)
     axes.set_xlabel(f"x ({unit})")
     axes.set_ylabel(f"y ({unit})")
-
-
-def _draw_markers(axes: Any, result: Reconstruction) -> None:
-    """Draw each marker's displacement from its place at rest as an arrow; markers that were not found are paler."""
-    flow = result.markers
-    if flow is None or not len(flow):
-        return
-    pitch = np.array(_pitch(result))
-    (x, y), (dx, dy) = (flow.rest_px * pitch).T, (flow.displacement_px * pitch).T
-    shades = [(1.0, 1.0, 1.0, 1.0 if seen else 0.3) for seen in flow.seen]
-    axes.quiver(x, y, dx, dy, angles="xy", scale_units="xy", scale=1, color=shades, width=0.004, headwidth=4)
 
 
 def _draw_scale_bar(axes: Any, left: float, right: float, low: float, high: float, unit: str) -> None:
@@ -260,52 +245,44 @@ def _round_length(length: float) -> float:
 
 
 def _draw_profiles(axes: Any, result: Reconstruction, row: int, column: int) -> None:
-    depth, unit, (pitch_x, pitch_y) = _depth(result), _unit(result), _pitch(result)
+    depth, unit, (pitch_x, pitch_y) = _in_unit(result)
     x, y = (np.arange(depth.shape[1]) - column) * pitch_x, (np.arange(depth.shape[0]) - row) * pitch_y
-    style_profiles(axes, "profiles through the deepest point", unit)
+    _style_profiles(axes, "profiles through the deepest point", unit)
     axes.plot(x, depth[row], color=ORANGE, linewidth=1.5, label="along x")
     axes.plot(y, depth[:, column], color=BLUE, linewidth=1.5, label="along y")
     axes.fill_between(x, depth[row], 0, color=ORANGE, alpha=0.1)
     deepest = float(depth[row, column])
     axes.plot(0, deepest, "o", color=INK, markersize=4)
     place = {"xytext": (6, 4), "textcoords": "offset points"}
-    axes.annotate(f"{in_words(deepest)} {unit}", (0, deepest), **place, fontsize=9, color=INK)
+    axes.annotate(f"{_in_words(deepest)} {unit}", (0, deepest), **place, fontsize=9, color=INK)
     axes.legend(frameon=False, fontsize=9, loc="lower right", bbox_to_anchor=(1, 0.99), ncols=2)
 
 
-COLUMNS = 4  # panels per row
 USUAL = "usual noise"  # what no cause explains
 LEAST_SHARE = 5e-4  # fraction of the frame that a cause affects; a smaller one gets no panel
-COLORS = ("#e8e8e8", *(cause.color for cause in CAUSES.values()))
-"""Colors of the usual noise and of each cause, in the order of `CAUSES`."""
+COLORS = ("#e8e8e8", *(cause.color for cause in CAUSES.values()))  # of the usual noise and of each cause
 
 
 def explanation_picture(explanation: Explanation, image: ArrayLike) -> Image:
     """Draw why each pixel has its confidence: image, confidence, sigma, largest cause, and a panel for each cause.
 
-    Parameters
-    ----------
-    explanation : result of `Reconstructor.explain`
-    image : (H, W, 3) RGB, its image
+    The explanation is that of `Reconstructor.explain` for the image (H, W, 3) RGB; the picture is (h, w, 3) uint8, RGB.
 
-    Returns
-    -------
-    picture : (h, w, 3) uint8, RGB
-
-    Raises
-    ------
-    GelformError
-        matplotlib is not installed.
-    ValueError
-        The image has another size.
+    GelformError: matplotlib is not installed. ValueError: the image has another size.
     """
     shown = check_image(image, shape=explanation.confidence.shape).astype(np.uint8)
     there = {name: one for name, one in explanation.maps.items() if (one > 0).mean() >= LEAST_SHARE}
-    rows = 1 + -(-len(there) // COLUMNS)
-    height = (WIDTH - 1.5) / COLUMNS * shown.shape[0] / shown.shape[1] + 0.6
+    rows = 1 + -(-len(there) // 4)
+    height = (WIDTH - 1.5) / 4 * shown.shape[0] / shown.shape[1] + 0.6
     figure = canvas(WIDTH, rows * height + 0.5 + 0.2 * len(explanation.findings))
-    grid = figure.subplots(rows, COLUMNS, squeeze=False)
-    figure.suptitle(_headline_of_explanation(explanation), x=0.012, ha="left", fontsize=11, color=INK)
+    grid = figure.subplots(rows, 4, squeeze=False)
+    trusted = 100 * float((explanation.confidence >= 0.5).mean())
+    headline = (
+        f"{trusted:.1f} % of the pixels have a confidence of 0.5 or more   |   {USUAL}: "
+        f"{100 * explanation.shares['law']:.1f} % of the variance   |   confidence 1 up to sigma "
+        f"{explanation.full_confidence_sigma:.3g} mm/mm"
+    ) + "".join(f"\n! {finding.message}" for finding in explanation.findings)
+    figure.suptitle(headline, x=0.012, ha="left", fontsize=11, color=INK)
     _draw_summary(figure, grid[0], explanation, shown)
     panels = grid[1:].ravel()
     for axes, (name, one) in zip(panels, there.items()):
@@ -328,17 +305,10 @@ def _style() -> dict[str, Any]:
     return {"cmap": "magma_r", "norm": LogNorm(0.01, 1, clip=True)}
 
 
-def _headline_of_explanation(explanation: Explanation) -> str:
-    trusted = float((explanation.confidence >= 0.5).mean())
-    law = explanation.shares["law"]
-    lines = [
-        f"{100 * trusted:.1f} % of the pixels have a confidence of 0.5 or more   |   {USUAL}: "
-        f"{100 * law:.1f} % of the variance   |   confidence 1 up to sigma {explanation.full_confidence_sigma:.3g} mm/mm"
-    ]
-    return "\n".join([*lines, *(f"! {finding.message}" for finding in explanation.findings)])
-
-
 def _draw_summary(figure: Any, grid: Any, explanation: Explanation, image: Image) -> None:
+    from matplotlib.colors import ListedColormap
+    from matplotlib.patches import Patch
+
     draw_map(grid[0], image, "image")
     confidence = draw_map(
         grid[1], explanation.confidence, "confidence", cmap=MAPS["confidence"].colors, vmin=0, vmax=1
@@ -346,13 +316,7 @@ def _draw_summary(figure: Any, grid: Any, explanation: Explanation, image: Image
     figure.colorbar(confidence, ax=grid[1], shrink=0.7, pad=0.02)
     sigma = draw_map(grid[2], explanation.gradients_sigma, "sigma of the slopes (mm/mm)", **_style())
     figure.colorbar(sigma, ax=grid[2], shrink=0.7, pad=0.02)
-    _draw_dominant(grid[3], explanation)
-
-
-def _draw_dominant(axes: Any, explanation: Explanation) -> None:
-    from matplotlib.colors import ListedColormap
-    from matplotlib.patches import Patch
-
+    axes = grid[3]
     names = (USUAL, *explanation.maps)
     style = {"cmap": ListedColormap(COLORS), "vmin": -0.5, "vmax": len(COLORS) - 0.5}
     draw_map(axes, explanation.dominant, "largest cause", **style)
@@ -363,31 +327,22 @@ def _draw_dominant(axes: Any, explanation: Explanation) -> None:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two depth maps in one unit, and their differences.
+    """Two depth maps in one unit, and their differences."""
 
-    Attributes
-    ----------
-    unit : "mm", or "px" (widths of a pixel) if one of the two has no scale
-    depths : the two maps (H, W) float32, in that unit
-    peak_a, peak_b : their deepest points
-    difference_rms : RMS of B minus A over the frame
-    angle_deg : mean angle between their normals, inside the contact of either; None if neither has one
-    curl_rms_a, curl_rms_b : deviation of the slopes from those of a surface, slope per pixel
-    """
-
-    unit: str
-    depths: tuple[Map, Map]
-    peak_a: float
+    unit: str  # "mm", or "px" (widths of a pixel) if one of the two has no scale
+    depths: tuple[Map, Map]  # the two maps (H, W) float32, in that unit
+    peak_a: float  # their deepest points
     peak_b: float
-    difference_rms: float
-    angle_deg: float | None
-    curl_rms_a: float
+    difference_rms: float  # of B minus A over the frame
+    angle_deg: (
+        float | None
+    )  # mean angle between normals inside the contact of either; None if neither has one
+    curl_rms_a: float  # deviation of the slopes from those of a surface, slope per pixel
     curl_rms_b: float
 
     def figures(self) -> dict[str, Any]:
         """All but the maps, for JSON."""
-        names = ("peak_a", "peak_b", "difference_rms", "angle_deg", "curl_rms_a", "curl_rms_b")
-        return {"unit": self.unit, **{name: getattr(self, name) for name in names}}
+        return {name: value for name, value in vars(self).items() if name != "depths"}
 
 
 def compare_results(a: Reconstruction, b: Reconstruction) -> Comparison:
@@ -403,8 +358,10 @@ def compare_results(a: Reconstruction, b: Reconstruction) -> Comparison:
     unit = "mm" if a.mm_per_px is not None and b.mm_per_px is not None else "px"
     depths = (a.depth_mm, b.depth_mm) if unit == "mm" else (a.depth_px, b.depth_px)
     touched, known = a.contact | b.contact, a.known & b.known
-    peaks = (float(d[one.known].max()) if one.known.any() else float("nan") for d, one in zip(depths, (a, b)))
-    peak_a, peak_b = peaks
+    peak_a, peak_b = (
+        float(depth[one.known].max()) if one.known.any() else float("nan")
+        for depth, one in zip(depths, (a, b))
+    )
     squares = (depths[1] - depths[0])[known].astype(np.float64) ** 2
     angle = angle_deg(b.gradients[touched], a.gradients[touched])
     return Comparison(
@@ -424,65 +381,42 @@ def comparison_picture(
 ) -> Image:
     """The image, both depths on one scale, their difference, and both profiles through A's deepest point.
 
-    Parameters
-    ----------
-    a, b : results of the same image
-    image : (H, W, 3) RGB
-    names : of the two calibrations
+    The results are of the same image (H, W, 3) RGB, by the calibrations of these names; the picture is (h, w, 3) uint8, RGB.
 
-    Returns
-    -------
-    picture : (h, w, 3) uint8, RGB
-
-    Raises
-    ------
-    GelformError
-        matplotlib is not installed.
+    GelformError: matplotlib is not installed.
     """
     compared = compare_results(a, b)
     shown = check_image(image, shape=a.shape).astype(np.uint8)
     limits = {"vmin": np.min(compared.depths), "vmax": np.max(compared.depths)}
     far = max(float(np.abs(np.subtract(*compared.depths)).max()), 1e-6)
-    first, second = depths = known_depth(a, compared.depths[0]), known_depth(b, compared.depths[1])
-    compared = replace(compared, depths=depths)
+    first, second = depths = _known(a, compared.depths[0]), _known(b, compared.depths[1])
     row, column = deepest_px(first)
     tall = 3.0 * a.shape[0] / a.shape[1]
     figure = canvas(14.0, tall + 4.0)
-    figure.suptitle(_headline_of_comparison(compared), x=0.012, ha="left", fontsize=11, color=INK)
+    unit, angle = compared.unit, "no contact"
+    if compared.angle_deg is not None:
+        angle = f"normals {compared.angle_deg:.1f} deg apart in contact"
+    deepest = " and ".join(_in_words(np.fmax.reduce(depth, axis=None)) for depth in depths)
+    headline = (
+        f"deepest {deepest} {unit}   |   difference {compared.difference_rms:.3f} {unit} RMS   |   {angle}   |   "
+        f"curl {compared.curl_rms_a:.3f} and {compared.curl_rms_b:.3f}"
+    )
+    figure.suptitle(headline, x=0.012, ha="left", fontsize=11, color=INK)
     top, bottom = figure.subfigures(2, 1, height_ratios=[tall + 0.5, 3.0])
     axes = top.subplots(1, 4)
     draw_map(axes[0], shown, "image")
-    for panel, depth, title in zip(axes[1:3], depths, (f"A: {names[0]}", f"B: {names[1]}")):
+    titles = f"A: {names[0]}", f"B: {names[1]}"
+    for panel, depth, title in zip(axes[1:3], depths, titles):
         map_shown = draw_map(panel, depth, title, cmap=MAPS["depth_mm"].colors, **limits)
         panel.axhline(row, color="white", linewidth=0.8, alpha=0.7)
-    top.colorbar(map_shown, ax=list(axes[1:3]), shrink=0.9, pad=0.01, label=f"depth ({compared.unit})")
+    top.colorbar(map_shown, ax=list(axes[1:3]), shrink=0.9, pad=0.01, label=f"depth ({unit})")
     difference = draw_map(axes[3], second - first, "B minus A", cmap="RdBu_r", vmin=-far, vmax=far)
-    top.colorbar(difference, ax=axes[3], shrink=0.9, pad=0.01, label=f"{compared.unit}")
-    _draw_both_profiles(bottom.subplots(1, 1), compared, a, row, column, names)
-    return pixels_of(figure)
-
-
-def _headline_of_comparison(compared: Comparison) -> str:
-    unit = compared.unit
-    deepest_a, deepest_b = (in_words(np.fmax.reduce(depth, axis=None)) for depth in compared.depths)
-    angle = (
-        "no contact"
-        if compared.angle_deg is None
-        else f"normals {compared.angle_deg:.1f} deg apart in contact"
-    )
-    return (
-        f"deepest {deepest_a} and {deepest_b} {unit}   |   difference "
-        f"{compared.difference_rms:.3f} {unit} RMS   |   {angle}   |   curl {compared.curl_rms_a:.3f} and "
-        f"{compared.curl_rms_b:.3f}"
-    )
-
-
-def _draw_both_profiles(
-    axes: Any, compared: Comparison, a: Reconstruction, row: int, column: int, names: tuple[str, str]
-) -> None:
-    pitch = check_mm_per_px(a.mm_per_px)[0] if compared.unit == "mm" else 1.0
+    top.colorbar(difference, ax=axes[3], shrink=0.9, pad=0.01, label=unit)
+    profiles = bottom.subplots(1, 1)
+    pitch = check_mm_per_px(a.mm_per_px)[0] if unit == "mm" else 1.0
     place = (np.arange(a.shape[1]) - column) * pitch
-    style_profiles(axes, "profiles along x through A's deepest point", compared.unit)
-    for depth, color, label in zip(compared.depths, (ORANGE, BLUE), (f"A: {names[0]}", f"B: {names[1]}")):
-        axes.plot(place, depth[row], color=color, linewidth=1.5, label=label)
-    axes.legend(frameon=False, fontsize=9)
+    _style_profiles(profiles, "profiles along x through A's deepest point", unit)
+    for depth, color, title in zip(depths, (ORANGE, BLUE), titles):
+        profiles.plot(place, depth[row], color=color, linewidth=1.5, label=title)
+    profiles.legend(frameon=False, fontsize=9)
+    return pixels_of(figure)

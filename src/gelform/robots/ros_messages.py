@@ -12,18 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gelform import Frame, Reconstruction
 from gelform.errors import needed
 from gelform.exchange.exporters.surface import M_PER_MM, points_from_result
-from gelform.image.frame import Frame
 from gelform.motion.surface import about_other_center
 from gelform.motion.track import Follower
-from gelform.result import Reconstruction
 from gelform.robots.topics import TOPICS
 from gelform.sensors.recordings.mcap_writer import header_of, typestore
-
-FLOAT32 = 7  # sensor_msgs/PointField
-DIAGNOSTICS_NS = 10**9  # longest time between two messages, as for ROS's own diagnostics
-OK, WARN, ERROR = 0, 1, 2  # diagnostic_msgs/DiagnosticStatus
 
 
 class RosMessages:
@@ -43,12 +38,19 @@ class RosMessages:
     def due(
         self, topics: Iterable[str], frame: Frame, result: Reconstruction, stamp_ns: int
     ) -> Iterator[tuple[str, memoryview]]:
-        """(topic, message) pairs of a frame taken at UTC ns; diagnostics once a second, and when findings change."""
+        """(topic, message) pairs of a frame taken at UTC ns.
+
+        Diagnostics come once a second, as ROS's own do, and when the findings change.
+        """
         for name in topics:
-            if name != "diagnostics" or self._diagnostics_are_due(result, stamp_ns):
-                message = getattr(self, name)(frame, result, stamp_ns)
-                if message is not None:
-                    yield name, message
+            if name == "diagnostics":
+                names, (before, said_ns) = tuple(finding.name for finding in result.health), self._said
+                if before == names and abs(stamp_ns - said_ns) < 10**9:
+                    continue
+                self._said = (names, stamp_ns)
+            message = getattr(self, name)(frame, result, stamp_ns)
+            if message is not None:
+                yield name, message
 
     def image(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
         """The frame from the camera: sensor_msgs/Image, rgb8."""
@@ -66,20 +68,12 @@ class RosMessages:
         points = (points_from_result(result) * M_PER_MM).astype("<f4")
         points[~result.known.ravel()] = np.nan
         field = self._type("sensor_msgs/msg/PointField")
-        fields = [field(name=n, offset=4 * k, datatype=FLOAT32, count=1) for k, n in enumerate("xyz")]
-        return self._message(
-            "points",
-            stamp_ns,
-            self.gel_frame,
-            height=height,
-            width=width,
-            fields=fields,
-            is_bigendian=False,
-            point_step=12,
-            row_step=12 * width,
-            data=points.view(np.uint8).ravel(),
-            is_dense=bool(result.known.all()),
-        )
+        # 7 is float32.
+        fields = [field(name=n, offset=4 * k, datatype=7, count=1) for k, n in enumerate("xyz")]
+        form = {"fields": fields, "is_bigendian": False, "point_step": 12, "row_step": 12 * width}
+        data, is_dense = points.view(np.uint8).ravel(), bool(result.known.all())
+        size = {"height": height, "width": width}
+        return self._message("points", stamp_ns, self.gel_frame, **size, **form, data=data, is_dense=is_dense)
 
     def wrench(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview | None:
         """The force on the gel, N, and its torsion, N m; NaN where unknown: geometry_msgs/WrenchStamped.
@@ -100,21 +94,18 @@ class RosMessages:
     def diagnostics(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
         """The findings of `health`, each as a value, and why a force is unknown: diagnostic_msgs/DiagnosticArray.
 
-        The status is OK without findings, WARN with findings, ERROR if depth is known in no pixel.
+        The level is OK (0) without findings, WARN (1) with findings, ERROR (2) if depth is known in no pixel.
         """
-        pair = self._type("diagnostic_msgs/msg/KeyValue")
-        findings = result.health
-        why = "" if result.force_model is None else result.force.reason
-        level = (WARN if result.known.any() else ERROR) if findings else OK
+        findings, pair = result.health, self._type("diagnostic_msgs/msg/KeyValue")
+        values = [pair(key=one.name, value=f"{one.figure:g}: {one.message}") for one in findings]
+        if result.force_model is not None and (why := result.force.reason):
+            values.append(pair(key="no_force", value=why))
         status = self._type("diagnostic_msgs/msg/DiagnosticStatus")(
-            level=level,
+            level=(1 if result.known.any() else 2) if findings else 0,
             name=f"gelform: {self.sensor}",
             message=", ".join(finding.name for finding in findings) or "OK",
             hardware_id=self.hardware_id,
-            values=[
-                *(pair(key=one.name, value=f"{one.figure:g}: {one.message}") for one in findings),
-                *([pair(key="no_force", value=why)] if why else []),
-            ],
+            values=values,
         )
         return self._message("diagnostics", stamp_ns, "", status=[status])
 
@@ -133,15 +124,6 @@ class RosMessages:
         )
         known = self._type("geometry_msgs/msg/PoseWithCovariance")(pose=at, covariance=covariance.ravel())
         return self._message("pose", stamp_ns, self.gel_frame, pose=known)
-
-    def _diagnostics_are_due(self, result: Reconstruction, stamp_ns: int) -> bool:
-        """Whether the findings have changed since the last message, or a second has passed."""
-        names = tuple(finding.name for finding in result.health)
-        before, said_ns = self._said
-        if before == names and abs(stamp_ns - said_ns) < DIAGNOSTICS_NS:
-            return False
-        self._said = (names, stamp_ns)
-        return True
 
     def _image(
         self, topic: str, pixels: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str

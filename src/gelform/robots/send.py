@@ -9,18 +9,14 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from os import PathLike
-from types import TracebackType
-from typing import Any
 
 from numpy.typing import ArrayLike
 
+from gelform import DataError, Frame, Reconstruction, Stream, open_source, stream
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.errors import DataError
 from gelform.foundations.checks import check_path, check_positive
 from gelform.foundations.files import locked_folder, sweep
 from gelform.foundations.findings import FrameTally, Progress, no_progress
-from gelform.image.frame import Frame
-from gelform.result import Reconstruction
 from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import (
     NEEDS_SCALE,
@@ -32,12 +28,7 @@ from gelform.robots.topics import (
     sensor_name_from,
 )
 from gelform.robots.zenoh_node import ZenohNode
-from gelform.sensors.source import open_source
 from gelform.sensors.streams.memory import StreamFrame
-from gelform.sensors.streams.stream import Stream, stream
-
-METADATA_VERSION = 9  # of rosbag2 in Jazzy and later; Humble plays the .mcap inside
-QUEUE = 10  # queue of the publishers of `ros2 bag play`: ROS's default
 
 
 class BagFile:
@@ -71,11 +62,18 @@ class BagFile:
     ) -> None:
         self.path = check_path(path)
         self._messages = RosMessages(check_sensor_name(sensor), hardware_id)
+        from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
         from rosbags.rosbag2 import StoragePlugin, Writer  # of the extra, which the messages needed
 
         self._topics = check_topics(topics)
         if os.path.lexists(self.path):
             raise DataError(f"{self.path} is there already. Choose another name, or remove it.")
+        # Reliable, volatile, keep the last ten, as publishers of `ros2 bag play` do by default: a player with these settings
+        # serves subscribers of either reliability.
+        unlimited = QosTime(9223372036, 854775807)  # rosbag2's value for no limit
+        kept, reliable, volatile = QosHistory.KEEP_LAST, QosReliability.RELIABLE, QosDurability.VOLATILE
+        lives = QosLiveliness.AUTOMATIC
+        offered = Qos(kept, 10, reliable, volatile, unlimited, unlimited, lives, unlimited, False)
         self._unfinished = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}")
         self._lock = ExitStack()
         try:
@@ -83,29 +81,22 @@ class BagFile:
             sweep(self.path.parent, self.path.name)
             self._unfinished.mkdir()
             self._lock.enter_context(locked_folder(self._unfinished))
-            self._writer = Writer(
-                self._unfinished / self.path.name,
-                version=METADATA_VERSION,
-                storage_plugin=StoragePlugin.MCAP,
-            )
+            # Version 9 is that of Jazzy and later; Humble plays the .mcap inside.
+            inside = self._unfinished / self.path.name
+            self._writer = Writer(inside, version=9, storage_plugin=StoragePlugin.MCAP)
             self._writer.open()
-            self._connections = {name: self._connection(name) for name in self._topics}
+            how = {"typestore": self._messages.store, "offered_qos_profiles": [offered]}
+            self._connections = {
+                name: self._writer.add_connection(TOPICS[name].of(sensor), TOPICS[name].type, **how)
+                for name in self._topics
+            }
         except OSError as problem:
             raise self._unwritable(problem) from problem
 
     def write(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> None:
-        """Add a frame and its result.
+        """Add a frame from the camera, taken at `stamp_ns` (UTC), and its result.
 
-        Parameters
-        ----------
-        frame : from the camera
-        result : of the frame, in mm if indentation or points are written
-        stamp_ns : capture time, UTC, ns
-
-        Raises
-        ------
-        DataError
-            The disk is full; nothing is kept.
+        It is in mm if indentation or points are written. DataError: the disk is full; nothing is kept.
         """
         try:
             for name, message in self._messages.due(self._topics, frame, result, stamp_ns):
@@ -132,45 +123,16 @@ class BagFile:
     def __enter__(self) -> BagFile:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None or issubclass(kind, KeyboardInterrupt):
             self.close()
         else:
             self.discard()
 
-    def _connection(self, name: str) -> Any:
-        topic = TOPICS[name]
-        return self._writer.add_connection(
-            topic.of(self._messages.sensor),
-            topic.type,
-            typestore=self._messages.store,
-            offered_qos_profiles=[_offered()],
-        )
-
     def _unwritable(self, problem: OSError) -> DataError:
         shutil.rmtree(self._unfinished, ignore_errors=True)
         self._lock.close()
         return DataError(f"Cannot write {self.path}: {problem.strerror or problem}. Nothing was kept.")
-
-
-def _offered() -> Any:
-    """Reliable, volatile, keep the last ten: a player with these settings serves subscribers of either reliability."""
-    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-
-    unlimited = QosTime(9223372036, 854775807)  # rosbag2's value for no limit
-    return Qos(
-        QosHistory.KEEP_LAST,
-        QUEUE,
-        QosReliability.RELIABLE,
-        QosDurability.VOLATILE,
-        unlimited,
-        unlimited,
-        QosLiveliness.AUTOMATIC,
-        unlimited,
-        False,
-    )
 
 
 @dataclass(frozen=True)
@@ -208,19 +170,24 @@ class StampedResults:
         self._tally, self._problem = FrameTally(), ""
 
     def __iter__(self) -> Iterator[tuple[StreamFrame, int]]:
-        """Each result with its frame, and its stamp, ns.
+        """Each result with its frame, and its stamp: the capture time, UTC, ns.
 
         DataError: the source gives no frame, or frames of another size than calibrated.
         """
         try:
             for one in self._running.pairs():
-                stamp_ns = self._stamp_ns(one.frame)
-                if self._seconds is not None and one.time_s - self._first_s >= self._seconds:
+                frame, time_s, health = one.frame, one.time_s, one.result.health
+                if not self._start_ns:
+                    self._start_ns, self._first_s = time.time_ns(), time_s
+                    self._stamped = frame.wall_time_ns > 0
+                if self._seconds is not None and time_s - self._first_s >= self._seconds:
                     break
-                health, self._last_s = one.result.health, one.time_s
+                self._last_s = time_s
                 self._tally.add((finding.name for finding in health), known=bool(one.result.known.any()))
                 self._problem = " ".join(finding.message for finding in health)
-                yield one, stamp_ns
+                # Frames without a capture time are as far from the first as the source says.
+                later_ns = self._start_ns + round((time_s - self._first_s) * 1e9)
+                yield one, frame.wall_time_ns if self._stamped else later_ns
         except (ValueError, TypeError) as problem:
             raise DataError(f"{self._source}: {problem}") from problem
         if not self._tally.frames:
@@ -243,18 +210,6 @@ class StampedResults:
         duration_s = self._last_s - self._first_s if tally.frames else 0.0
         problem = self._problem if tally.is_useless else ""
         return SentStats(sensor, tally.frames, duration_s, drops, self._stamped, tally, problem)
-
-    def _stamp_ns(self, frame: Frame) -> int:
-        """The capture time, UTC, ns; without one, times from the first frame on at the frames' own distances."""
-        if not self._start_ns:
-            self._start_ns, self._first_s, self._stamped = (
-                time.time_ns(),
-                frame.time_s,
-                frame.wall_time_ns > 0,
-            )
-        if self._stamped:
-            return frame.wall_time_ns
-        return self._start_ns + round((frame.time_s - self._first_s) * 1e9)
 
 
 def save_bag(

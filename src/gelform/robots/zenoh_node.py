@@ -9,23 +9,16 @@ from __future__ import annotations
 import json
 import struct
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import blake2b
-from types import TracebackType
+from itertools import count
 from typing import Any
 
+from gelform import Frame, Reconstruction
 from gelform.errors import GelformError, needed
-from gelform.image.frame import Frame
-from gelform.result import Reconstruction
 from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, USUAL, check_sensor_name, check_topics
-
-GRAPH = "@ros2_lv"  # prefix of the tokens that announce nodes and publishers
-NO_NAMESPACE = NO_ENCLAVE = "%"  # a slash, which separates levels in zenoh
-NODE, NODE_ID = "NN", 0
-PUBLISHER = "MP"
-QOS = "::,10:,:,:,,"  # reliable, volatile, keep the last 10; only differences from rmw_zenoh's default are stated
-GID_BYTES = 16  # as in rmw_zenoh
 
 
 @dataclass(frozen=True)
@@ -39,20 +32,21 @@ class Node:
     @property
     def token(self) -> str:
         """The token that announces the node."""
-        return self._token(NODE_ID, NODE)
+        return self._token(0, "NN")
 
     def publisher_token(self, number: int, topic: str, kind: str, type_hash: str) -> str:
         """The token that announces a topic's publisher, numbered from 1; a topic is such as /left/points."""
-        mangled = topic.replace("/", "%")
-        return f"{self._token(number, PUBLISHER)}/{mangled}/{dds_type(kind)}/{type_hash}/{QOS}"
+        # Reliable, volatile, keep the last 10; only differences from rmw_zenoh's default are stated.
+        mangled, qos = topic.replace("/", "%"), "::,10:,:,:,,"
+        return f"{self._token(number, 'MP')}/{mangled}/{dds_type(kind)}/{type_hash}/{qos}"
 
     def topic_key(self, topic: str, kind: str, type_hash: str) -> str:
         """The key for a topic's messages."""
         return f"{self.domain}/{topic.strip('/')}/{dds_type(kind)}/{type_hash}"
 
     def _token(self, number: int, entity: str) -> str:
-        where = f"{GRAPH}/{self.domain}/{self.session}/{NODE_ID}/{number}/{entity}"
-        return f"{where}/{NO_ENCLAVE}/{NO_NAMESPACE}/{self.name}"
+        # The node's number is 0; "%" is a slash: no enclave, no namespace.
+        return f"@ros2_lv/{self.domain}/{self.session}/0/{number}/{entity}/%/%/{self.name}"
 
 
 def dds_type(kind: str) -> str:
@@ -63,15 +57,12 @@ def dds_type(kind: str) -> str:
 
 def gid_from_token(token: str) -> bytes:
     """16 bytes that identify a publisher."""
-    return blake2b(token.encode(), digest_size=GID_BYTES).digest()
+    return blake2b(token.encode(), digest_size=16).digest()
 
 
 def attachment(number: int, sent_ns: int, gid: bytes) -> bytes:
     """The attachment of a message: its number from 1, sending time (UTC, ns), and the publisher's gid."""
     return struct.pack("<qqB", number, sent_ns, len(gid)) + gid
-
-
-CONNECT_MS = 3000  # ms until a router that does not answer is an error
 
 
 class ZenohNode:
@@ -114,20 +105,22 @@ class ZenohNode:
         self._messages = RosMessages(check_sensor_name(sensor), hardware_id)
         self._session = _session(router)
         self.node = Node(domain, str(self._session.zid()), f"gelform_{sensor}")
-        self._tokens = [self._token(self.node.token)]
-        self._publishers = {name: self._publisher(k, name) for k, name in enumerate(self._topics, 1)}
+        declare = self._session.liveliness().declare_token
+        self._tokens, self._put = [declare(self.node.token)], {}
+        for number, name in enumerate(self._topics, 1):
+            topic = TOPICS[name]
+            names = topic.of(sensor), topic.type, self._messages.store.hash_rihs01(topic.type)
+            token = self.node.publisher_token(number, *names)
+            self._tokens.append(declare(token))
+            self._put[name] = _publisher(self._session, self.node.topic_key(*names), gid_from_token(token))
 
     def publish(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> None:
-        """Send a frame and its result to the subscribers.
+        """Send a frame from the camera, taken at `stamp_ns` (UTC), and its result to the subscribers.
 
-        Parameters
-        ----------
-        frame : from the camera
-        result : of the frame, in mm if indentation or points are published
-        stamp_ns : capture time, UTC, ns
+        The result is in mm if indentation or points are published.
         """
         for name, message in self._messages.due(self._topics, frame, result, stamp_ns):
-            self._publishers[name].put(bytes(message))
+            self._put[name](bytes(message))
 
     def close(self) -> None:
         """Leave the network."""
@@ -136,35 +129,17 @@ class ZenohNode:
     def __enter__(self) -> ZenohNode:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _publisher(self, number: int, name: str) -> _Publisher:
-        topic, sensor = TOPICS[name], self._messages.sensor
-        names = topic.of(sensor), topic.type, self._messages.store.hash_rihs01(topic.type)
-        token = self.node.publisher_token(number, *names)
-        self._tokens.append(self._token(token))
-        return _Publisher(self._session, self.node.topic_key(*names), gid_from_token(token))
 
-    def _token(self, key: str) -> Any:
-        return self._session.liveliness().declare_token(key)
+def _publisher(session: Any, key: str, gid: bytes) -> Callable[[bytes], None]:
+    """The function that publishes messages of one topic, which are numbered."""
+    import zenoh
 
-
-class _Publisher:
-    """One topic; its messages are numbered."""
-
-    def __init__(self, session: Any, key: str, gid: bytes) -> None:
-        import zenoh
-
-        drop = zenoh.CongestionControl.DROP
-        self._publisher = session.declare_publisher(key, congestion_control=drop)
-        self._gid, self._number = gid, 0
-
-    def put(self, message: bytes) -> None:
-        self._number += 1
-        self._publisher.put(message, attachment=attachment(self._number, time.time_ns(), self._gid))
+    publisher = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
+    numbers = count(1)
+    return lambda message: publisher.put(message, attachment=attachment(next(numbers), time.time_ns(), gid))
 
 
 def _session(router: str) -> Any:
@@ -174,7 +149,7 @@ def _session(router: str) -> Any:
     config = zenoh.Config()
     settings: dict[str, Any] = {
         "mode": "peer",
-        "connect/timeout_ms": CONNECT_MS,
+        "connect/timeout_ms": 3000,  # until a router that does not answer is an error
         "connect/exit_on_failure": True,
         "listen/endpoints": ["tcp/localhost:0"],
         "scouting/multicast/enabled": False,

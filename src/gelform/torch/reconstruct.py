@@ -8,12 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gelform import CalibrationError, GelformError, markers_from_image
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.errors import CalibrationError, GelformError
 from gelform.foundations.checks import check_image
 from gelform.foundations.filters import MIN_UNTOUCHED, lattice_step
 from gelform.image.background import EXPOSURE_STEP_PX
-from gelform.image.markers import markers_from_image
 
 try:
     import torch
@@ -72,7 +71,8 @@ class Reconstruct(nn.Module):
     ) -> None:
         super().__init__()
         calibration = as_calibration(calibration)
-        self.shape = calibration.image_shape
+        self.shape = height, width = calibration.image_shape
+        self.lattice = (..., *(slice(None, None, lattice_step(height * width)),) * 2)
         today = calibration.background
         if background is not None:
             today = check_image(background, shape=self.shape, name="background").astype(np.float32)
@@ -85,8 +85,9 @@ class Reconstruct(nn.Module):
         self.color_change = ColorChange(today, calibration.change, compensate_exposure)
         self.model = gradients_module(calibration.color_model, today)
         forward = calibration.forward
-        steps = forward is not None and forward.step_sigma is not None
-        self.step = ForwardStep(forward, self.threshold) if forward is not None and steps else None
+        self.step = None
+        if forward is not None and forward.step_sigma is not None:
+            self.step = ForwardStep(forward, self.threshold)
         self.solver = PoissonDepth(self.shape, (calibration.mm_per_px or 1.0,) * 2)
 
     def forward(self, images: Tensor) -> BatchReconstruction:
@@ -112,13 +113,10 @@ class Reconstruct(nn.Module):
         gradients = self.model(change)
         if self.step is not None:
             gradients = self.step(change, gradients)
-        at_rest = self._at_rest(change)
-        step = lattice_step(self.shape[0] * self.shape[1])
-        bias = medians_where(gradients[..., ::step, ::step], at_rest[..., ::step, ::step])
-        gradients = gradients - bias
+        chosen = self._at_rest(change)[self.lattice]
+        gradients = gradients - medians_where(gradients[self.lattice], chosen)
         depth = self.solver(gradients)[:, None]
-        step = lattice_step(self.shape[0] * self.shape[1])
-        zero = medians_where(depth[..., ::step, ::step], at_rest[..., ::step, ::step])
+        zero = medians_where(depth[self.lattice], chosen)
         return BatchReconstruction(depth - zero, gradients)
 
     @torch.no_grad()
@@ -126,8 +124,7 @@ class Reconstruct(nn.Module):
         """Pixels (N, 1, H, W) whose color did not change; if too few, the pixels that changed least."""
         coarse = change[..., ::EXPOSURE_STEP_PX, ::EXPOSURE_STEP_PX]
         near = ((change - medians_where(coarse)) ** 2).sum(1, keepdim=True) < self.threshold**2
-        step = lattice_step(self.shape[0] * self.shape[1])
-        few = near[..., ::step, ::step].float().mean((1, 2, 3)) < MIN_UNTOUCHED
+        few = near[self.lattice].float().mean((1, 2, 3)) < MIN_UNTOUCHED
         if bool(few.any()):
             size = change[few].norm(dim=1, keepdim=True)
             ordered = size.flatten(1).sort(dim=1).values

@@ -46,25 +46,17 @@ from gelform.slopes.color_models.least_squares import at_pixels, interpolation, 
 from gelform.slopes.color_models.physical import MAX_SLOPE, inverse_lights, inverted_lights
 
 
-def planes(values: Array) -> Tensor:
-    """(C, H, W) float32 of (H, W, C)."""
-    return torch.from_numpy(np.ascontiguousarray(np.moveaxis(values, -1, 0), dtype=np.float32))
+def planes(values: Array, *axes: int) -> Tensor:
+    """(C, H, W) float32 of (H, W, C); `axes` are those that come first, by default the last."""
+    axes = axes or (-1,)
+    moved = np.moveaxis(values, axes, range(len(axes)))
+    return torch.from_numpy(np.ascontiguousarray(moved, dtype=np.float32))
 
 
-def block_shares(size: int, blocks: int) -> Tensor:
-    """The fraction of each pixel of a line in each block's mean, (blocks, size), as in OpenCV."""
-    return _resized(size, blocks, cv2.INTER_AREA)
-
-
-def bilinear_shares(few: int, size: int) -> Tensor:
-    """The fraction of each sample of a coarser line in each pixel, (size, few), as in OpenCV."""
-    return _resized(few, size, cv2.INTER_LINEAR)
-
-
-def _resized(size: int, other: int, interpolation: int) -> Tensor:
-    return torch.from_numpy(
-        cv2.resize(np.eye(size, dtype=np.float32), (size, other), interpolation=interpolation)
-    )
+def shares(size: int, other: int, interpolation: int) -> Tensor:
+    """The fraction of each sample of a line in those of the same line of another size, (other, size), as in OpenCV."""
+    line = np.eye(size, dtype=np.float32)
+    return torch.from_numpy(cv2.resize(line, (size, other), interpolation=interpolation))
 
 
 def medians_where(maps: Tensor, chosen: Tensor | None = None) -> Tensor:
@@ -83,12 +75,7 @@ class PoissonDepth(nn.Module):
 
     The slope of an edge is the mean of its two pixels' slopes. The cosine modes diagonalize the normal equations (B.
     L. Buzbee, G. H. Golub and C. W. Nielson, SIAM J. Numer. Anal. 7, 1970). Each transform is one FFT of the reordered
-    rows (J. Makhoul, IEEE Trans. ASSP 28, 1980).
-
-    Parameters
-    ----------
-    shape : (H, W)
-    mm_per_px : (x, y), mm, or another unit, which depth then has
+    rows (J. Makhoul, IEEE Trans. ASSP 28, 1980). `mm_per_px` is (x, y), mm, or in another unit, which depth then has.
     """
 
     def __init__(self, shape: tuple[int, int], mm_per_px: tuple[float, float]) -> None:
@@ -150,18 +137,20 @@ class ColorChange(nn.Module):
 
     def __init__(self, background: Map, settings: ChangeSettings, compensate_exposure: bool) -> None:
         super().__init__()
-        self.compensate_exposure = compensate_exposure
-        taps = blur_taps(settings.blur_px)
-        self.settings = settings
-        self.shape = background.shape[:2]
+        self.compensate_exposure, self.settings = compensate_exposure, settings
         self.register_buffer("untouched", planes(linear_light(background, settings)))
         self.register_buffer("gain", planes(gain_from_background(background, settings)))
-        self.taps = taps.tolist()  # from the middle outwards
+        self.taps = blur_taps(settings.blur_px).tolist()  # from the middle outwards
         self.register_buffer("blocks", planes(block_means(background)))
-        for name, size, blocks in zip(("rows", "columns"), self.shape, self.blocks.shape[-2:]):
-            self.register_buffer(name, block_shares(size, blocks))
-        size = self.blocks.shape[-2:]
-        self.halves_up = self.shape == (2 * size[0], 2 * size[1])  # as OpenCV rounds means of 2x2 pixels
+        shape, (rows, columns) = background.shape[:2], self.blocks.shape[-2:]
+        for name, size, few in (("row", shape[0], rows), ("column", shape[1], columns)):
+            of_blocks = shares(size, few, cv2.INTER_AREA)
+            most = int((of_blocks > 0).sum(1).max())
+            order = (of_blocks > 0).sort(dim=1, descending=True, stable=True).indices[:, :most]
+            # (pixels of a block, blocks), in the order of the line
+            self.register_buffer(f"{name}_index", order.T.contiguous())
+            self.register_buffer(f"{name}_share", of_blocks.gather(1, order).T.contiguous())
+        self.halves_up = shape == (2 * rows, 2 * columns)  # as OpenCV rounds means of 2x2 pixels
         crosstalk = np.eye(3) if settings.crosstalk is None else np.asarray(settings.crosstalk)
         self.register_buffer("crosstalk", torch.from_numpy(crosstalk.astype(np.float32)))
 
@@ -170,16 +159,11 @@ class ColorChange(nn.Module):
         levels = images.to(self.untouched.dtype)
         if self.compensate_exposure:
             levels = levels / self._gain(images)
-        light = levels if self.settings.response == 1 else self._linear(levels)
+        response = self.settings.response
+        light = levels if response == 1 else 255 * (levels / 255) ** (1 / response)
         if self.settings.crosstalk is not None:
             light = torch.einsum("cd,ndhw->nchw", torch.linalg.inv(self.crosstalk), light)
-        return self._blurred((light - self.untouched) * self.gain)
-
-    def _linear(self, levels: Tensor) -> Tensor:
-        return 255 * (levels / 255) ** (1 / self.settings.response)
-
-    def _blurred(self, change: Tensor) -> Tensor:
-        reach = len(self.taps) - 1
+        change, reach = (light - self.untouched) * self.gain, len(self.taps) - 1
         if reach == 0:
             return change
         padded = functional.pad(change, (reach,) * 4, mode="reflect")
@@ -189,7 +173,8 @@ class ColorChange(nn.Module):
     def _gain(self, images: Tensor) -> Tensor:
         """Brightness of each channel relative to the background, (N, 3, 1, 1); see `gain_from_blocks`."""
         levels = images.to(self.untouched.dtype)
-        blocks = self.rows @ levels @ self.columns.T
+        blocks = _means(levels, self.column_index, self.column_share)
+        blocks = _means(blocks.mT, self.row_index, self.row_share).mT
         if not images.is_floating_point():
             blocks = (blocks + 0.5).floor() if self.halves_up else blocks.round()
         blocks, rest = blocks[..., ::EVERY, ::EVERY], self.blocks[..., ::EVERY, ::EVERY]
@@ -197,6 +182,14 @@ class ColorChange(nn.Module):
         lit = ((either.amin(0) > DARK) & (either.amax(0) < BRIGHT)).all(1, keepdim=True)
         start = medians_where(blocks / rest.clamp(min=1e-6), lit)
         return _fitted_gain(torch.where(start > 0, start, 1).log(), blocks, rest, lit).exp()
+
+
+def _means(values: Tensor, index: Tensor, share: Tensor) -> Tensor:
+    """Means along the last dimension, added one after the other as in OpenCV: then ties are rounded as there."""
+    total = values[..., index[0]] * share[0]
+    for at, part in zip(index[1:], share[1:]):
+        total = total + values[..., at] * part
+    return total
 
 
 def _fitted_gain(logarithm: Tensor, blocks: Tensor, rest: Tensor, lit: Tensor) -> Tensor:
@@ -233,9 +226,6 @@ def _weighted_sum(values: Tensor, taps: list[float], dim: int) -> Tensor:
     return total
 
 
-LEAST_NORMAL_Z = 1e-6  # as in `gradients_from_scaled`
-
-
 def gradients_module(model: ColorModel, background: Array) -> nn.Module:
     """A color model on a background image (H, W, 3) as a module: color change (N, 3, H, W) -> gradients (N, 2, H, W).
 
@@ -261,7 +251,7 @@ class PolynomialGradients(nn.Module):
     def __init__(self, model: HierarchicalModel | PolynomialModel, shape: tuple[int, int]) -> None:
         super().__init__()
         maps = model.coefficients_at(*pixel_positions(shape).T).reshape(*shape, -1, 2)
-        self.register_buffer("coefficients", _tensor(np.moveaxis(maps, (2, 3), (0, 1))))  # (terms, 2, H, W)
+        self.register_buffer("coefficients", planes(maps, 2, 3))  # (terms, 2, H, W)
         self.parents = monomial_parents(monomials(3, model.degree)).tolist()
         self.steepest = model.steepest if isinstance(model, HierarchicalModel) else HIGHEST_SLOPE
 
@@ -281,9 +271,7 @@ class LitGradients(nn.Module):
 
     def __init__(self, inverse: Array, response: float) -> None:
         super().__init__()
-        self.register_buffer(
-            "inverse", _tensor(np.moveaxis(inverse, (2, 3), (0, 1)))
-        )  # (3, 3, H or 1, W or 1)
+        self.register_buffer("inverse", planes(inverse, 2, 3))  # (3, 3, H or 1, W or 1)
         self.response = response
 
     def forward(self, color_change: Tensor) -> Tensor:
@@ -293,14 +281,11 @@ class LitGradients(nn.Module):
             ratio = ratio.clamp(min=0) ** (1 / self.response)
         g = torch.stack([(row * ratio).sum(1) for row in self.inverse], dim=1)
         steepest = g[:, :2].norm(dim=1) / MAX_SLOPE
-        return -g[:, :2] / torch.maximum(g[:, 2], steepest).clamp(min=LEAST_NORMAL_Z)[:, None]
+        # As in `gradients_from_scaled`.
+        return -g[:, :2] / torch.maximum(g[:, 2], steepest).clamp(min=1e-6)[:, None]
 
 
-def _tensor(values: Array) -> Tensor:
-    return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))
-
-
-class TorchFrameDepth(nn.Module):
+class CoarseDepth(nn.Module):
     """Least-squares depth of frames on a grid four times coarser, 0 at the median of the gel at rest.
 
     Pixels with a color change up to `untouched` count as gel at rest.
@@ -309,11 +294,11 @@ class TorchFrameDepth(nn.Module):
     def __init__(self, shape: tuple[int, int], untouched: float) -> None:
         super().__init__()
         self.square = untouched**2
-        grid, pitch_px = coarse_of(shape).shape, coarse_of(shape).pitch_px
-        for name, size, few in zip(("rows", "columns"), shape, grid):
-            self.register_buffer(f"{name}_coarse", block_shares(size, few))
-            self.register_buffer(f"{name}_full", bilinear_shares(few, size))
-        self.solver = PoissonDepth(grid, pitch_px)
+        grid = coarse_of(shape)
+        for name, size, few in zip(("rows", "columns"), shape, grid.shape):
+            self.register_buffer(f"{name}_coarse", shares(size, few, cv2.INTER_AREA))
+            self.register_buffer(f"{name}_full", shares(few, size, cv2.INTER_LINEAR))
+        self.solver = PoissonDepth(grid.shape, grid.pitch_px)
 
     def forward(self, gradients: Tensor, rest: Tensor) -> Tensor:
         """Depth (N, 1, rows, columns), px, at least 0, of gradients (N, 2, H, W); its median over `rest` is 0."""
@@ -338,24 +323,19 @@ class TorchFrameDepth(nn.Module):
         return self.rows_full @ (maps @ self.columns_full.T)
 
 
-ROUNDING = 1e-6  # relative rounding error of a determinant in float32, over the product of its diagonal
-
-
 class ForwardStep(nn.Module):
     """Gradients (N, 2, H, W) after one step from those of a color model; the response has a `step_sigma`."""
 
     def __init__(self, forward: ForwardResponse, untouched: float) -> None:
         super().__init__()
         assert forward.step_sigma is not None
-        height, width = forward.shape
         x, y = pixel_positions(forward.shape).T
         places = interpolation(x, y, forward.shape)
         maps = at_pixels(forward.nodes @ forward.roots[0], *places)
-        maps = np.moveaxis(maps.reshape(height, width, -1, 3), (2, 3), (0, 1))
-        self.register_buffer("coefficients", torch.from_numpy(np.ascontiguousarray(maps, dtype=np.float32)))
+        self.register_buffer("coefficients", planes(maps.reshape(*forward.shape, -1, 3), 2, 3))
         self.register_buffer("root", torch.from_numpy(forward.roots[0]))
         self.at_rest, self.per_slope = (sigma**2 for sigma in forward.step_sigma)
-        self.depth = TorchFrameDepth(forward.shape, untouched)
+        self.depth = CoarseDepth(forward.shape, untouched)
 
     def forward(self, color_change: Tensor, gradients: Tensor) -> Tensor:
         """The step for a color change (N, 3, H, W) and gradients (N, 2, H, W)."""
@@ -375,7 +355,8 @@ class ForwardStep(nn.Module):
         h12, b1, b2 = (
             (one * other).sum(1) for one, other in ((along_p, along_q), (along_p, left), (along_q, left))
         )
-        determinant = (h11 * h22 * (1 + ROUNDING) - h12 * h12)[:, None]
+        # The relative rounding error of a determinant in float32 is 1e-6 of the product of its diagonal.
+        determinant = (h11 * h22 * (1 + 1e-6) - h12 * h12)[:, None]
         step = torch.stack([h22 * b1 - h12 * b2, h11 * b2 - h12 * b1], 1) / determinant
         length = ((step**2).sum(1, keepdim=True) + 1e-18).sqrt()
         return gradients + step * (CLIPPED_STEP_SIGMA / length).clamp(max=1)

@@ -3,11 +3,10 @@
 import pytest
 
 import gelform
-from gelform.batch.containers import FilmRef
+from gelform.batch import BatchSettings, FilmRef
 from gelform.batch.inputs import Part
 from gelform.batch.outputs.files import PartTarget
 from gelform.batch.outputs.writers import WRITERS
-from gelform.batch.settings import BatchSettings
 from made.small_gel import MM_PER_PX, SHAPE
 
 COUNT = 5
@@ -25,23 +24,13 @@ def results(cal, images):
 def written(results, tmp_path):
     """Writes them; gives the writer and the rows."""
 
-    def write(
-        form,
-        *,
-        sequence="day/a",
-        part_frames=COUNT,
-        counted=True,
-        interrupted=False,
-        folder=tmp_path,
-        **settings,
-    ):
+    def write(form, *, sequence="day/a", counted=True, interrupted=False, folder=tmp_path, **settings):
         images = tuple(map(str, range(COUNT))) if counted else ()
         film = FilmRef(sequence, tmp_path, images, count=len(images), rate_hz=30)
         part = Part(0, film, count=len(images), names=images)
         facts = {"mm_per_px": MM_PER_PX, "calibration_digest": "abc"}
-        target = PartTarget(
-            folder, part, BatchSettings(form, part_frames=part_frames, **settings), SHAPE, facts
-        )
+        settings = BatchSettings(form, **{"part_frames": COUNT, **settings})
+        target = PartTarget(folder, part, settings, SHAPE, facts)
         with WRITERS[form].writer(target) as writer:
             rows = [
                 writer.add(str(k), k, None if result is None else writer.prepared(result))

@@ -1,7 +1,6 @@
-"""Depth in LeRobot's videos and tables.
+"""Depth in LeRobot's videos and tables: 1 um a code by the formula that LeRobot decodes, with the statistics of all.
 
-Codes are 1 um by the formula that LeRobot decodes, with the statistics of all of them. The data set keeps all its
-content, gains one feature in every table, and is complete after any interruption.
+The data set keeps all its content, gains one feature in every table, and is complete after any interruption.
 """
 
 import json
@@ -23,6 +22,7 @@ from gelform.batch.outputs.lerobot import (
 from gelform.depth.force import ForceModel, ForcePart
 from gelform.errors import DataError
 from gelform.robots import depth_from_lerobot_levels
+from made.files import encoded
 
 av = pytest.importorskip("av", reason="the extra data is not installed")
 KEY, STORED, EPISODE = "observation.images.gel", "observation.images.still", 1002
@@ -122,7 +122,6 @@ def test_everything_else_is_as_it_was_and_the_tables_say_where_depth_is(done, vi
     assert new == {f"videos/{DEPTH}/chunk-000/file-{k:03d}.mp4" for k in range(3)}
     assert "README.md" in after
     assert verify_output(output) == (9, 0, [])
-    root, output = done
     old, new = (json.loads((one / "meta/info.json").read_text()) for one in (root, output / "frames"))
     assert new["features"].pop(DEPTH)["shape"] == [64, 80, 1]
     assert new == old
@@ -159,15 +158,12 @@ def with_force(cal):
     )
 
 
-def test_the_force_on_each_frame_is_in_the_tables(lerobot, with_force, tmp_path, visible):
+def test_the_force_on_each_frame_is_in_the_tables(lerobot, with_force, tmp_path):
     root, frames = lerobot
-    before = visible(root)
     assert run_batch(root, with_force, tmp_path / "out", SETTINGS, dataset=KEY, table="csv").complete
-    assert visible(root) == before
     assert verify_output(tmp_path / "out") == (9, 0, [])
     output = tmp_path / "out/frames"
-    how = {name: getattr(SETTINGS, name) for name in ("solver",)}
-    reconstruct = gelform.Reconstructor(with_force, **how)
+    reconstruct = gelform.Reconstructor(with_force, solver=SETTINGS.solver)
     true = np.array([reconstruct.from_image(frame).force.vector_n for frame in frames])
     assert np.isnan(true[:, :2]).all()
     assert np.nanmax(true[:, 2]) < 0  # it pushes toward the camera
@@ -187,12 +183,16 @@ def test_the_force_on_each_frame_is_in_the_tables(lerobot, with_force, tmp_path,
         assert row[f"stats/{FORCE}/count"] == [row["length"]]
 
 
-def test_a_frame_with_an_error_has_no_force(lerobot, with_force, tmp_path, encode):
+def test_a_frame_with_an_error_is_level_zero_and_has_no_force(lerobot, with_force, tmp_path):
     root, frames = lerobot
-    encode(root / f"videos/{KEY}/chunk-000/file-000.mp4", frames[:-1])
-    assert run_batch(root, with_force, tmp_path / "out", SETTINGS, dataset=KEY, table="csv").errors == 1
+    encoded(root / f"videos/{KEY}/chunk-000/file-000.mp4", frames[:-1])
+    summary = run_batch(root, with_force, tmp_path / "out", SETTINGS, dataset=KEY, table="csv")
+    assert (summary.complete, summary.errors) == (True, 1)
     last = rows_of(tmp_path / "out/frames/data/chunk-000/file-001.parquet")[-1]
     assert last[FORCE] == last[f"{FORCE}_known"] == [0, 0, 0]
+    rows = rows_of(tmp_path / "out/frames/meta/episodes/chunk-000/file-000.parquet")
+    assert [np.ravel(row[f"stats/{DEPTH}/min"])[0] == 0 for row in rows] == [True, False, False]
+    assert rows[0]["episode_index"] == 2
 
 
 def test_two_cameras_at_once(lerobot, cal, tmp_path):
@@ -202,7 +202,7 @@ def test_two_cameras_at_once(lerobot, cal, tmp_path):
     assert {DEPTH, f"{STORED}_depth"} <= set(features)
     files = (tmp_path / "out/frames/videos").rglob("file-001.mp4")
     first, second = (one.read_bytes() for one in files)
-    assert first == second  # they showed the same
+    assert first == second  # the video and the images in tables showed the same
 
 
 def test_a_run_that_ended_before_its_tables_goes_on(done, lerobot, cal, visible):
@@ -221,30 +221,6 @@ def test_a_run_that_ended_before_its_tables_goes_on(done, lerobot, cal, visible)
     assert not left.exists()
 
 
-def test_a_file_that_was_altered_is_found(done):
-    _, output = done
-    path = output / "frames/data/chunk-000/file-000.parquet"
-    content = bytearray(path.read_bytes())
-    content[100] ^= 1
-    path.write_bytes(content)
-    (problem,) = verify_output(output)[2]
-    assert problem.path == path
-    (output / "frames/videos/stray.mp4").write_bytes(b"x")
-    path.write_bytes(bytes(content[:100]) + bytes([content[100] ^ 1]) + bytes(content[101:]))
-    (problem,) = verify_output(output)[2]
-    assert (problem.path.name, problem.what) == ("stray.mp4", "no part knows of it.")
-
-
-def test_a_frame_with_an_error_is_level_zero(lerobot, cal, tmp_path, encode):
-    root, frames = lerobot
-    encode(root / f"videos/{KEY}/chunk-000/file-000.mp4", frames[:-1])
-    summary = run_batch(root, cal, tmp_path / "out", SETTINGS, dataset=KEY, table="csv")
-    assert (summary.complete, summary.errors) == (True, 1)
-    rows = rows_of(tmp_path / "out/frames/meta/episodes/chunk-000/file-000.parquet")
-    assert [np.ravel(row[f"stats/{DEPTH}/min"])[0] == 0 for row in rows] == [True, False, False]
-    assert rows[0]["episode_index"] == 2
-
-
 def test_what_cannot_be_is_refused(lerobot, tree, cal, tmp_path):
     root, _ = lerobot
     with pytest.raises(DataError, match="Expected a LeRobot data set as input of the format lerobot"):
@@ -254,8 +230,7 @@ def test_what_cannot_be_is_refused(lerobot, tree, cal, tmp_path):
     (root / "meta/info.json").write_text(json.dumps(info))
     with pytest.raises(DataError, match=f"has {DEPTH} already"):
         check_lerobot_source(root, {KEY})
-    info["video_path"] = "films/{video_key}.mp4"
-    (root / "meta/info.json").write_text(json.dumps(info))
+    (root / "meta/info.json").write_text(json.dumps({**info, "video_path": "films/{video_key}.mp4"}))
     with pytest.raises(DataError, match="Expected videos at"):
         check_lerobot_source(root, {KEY})
 

@@ -1,6 +1,4 @@
-"""Folders and simulated presses as files, single ones and sets.
-
-They are complete or absent, have the same bytes for any number of workers, and read back like real ones.
+"""Folders of presses are complete or absent, have the same bytes for any number of workers, and read back like real ones.
 
 A press that moves is the same frames in each form, and its table has the true poses.
 """
@@ -14,21 +12,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tomlkit
 
 import gelform
-from gelform.batch.containers import (
-    container_values,
-    films_in_container,
-    films_in_lerobot_set,
-    stored_images,
-)
-from gelform.calibration.presses.folder import read_presses
-from gelform.errors import DataError
-from gelform.exchange.exporters import save_simulated_press
+from gelform import DataError, read_presses
+from gelform.batch.inputs import frames_of_part, listing_of, plan_of
 from gelform.exchange.exporters.moving import check_forms, save_moving_press
 from gelform.exchange.exporters.press_folder import (
     SetOfPresses,
     save_press_folder,
+    save_simulated_press,
     save_simulated_presses,
     save_simulated_set,
     write_csv,
@@ -38,11 +31,6 @@ from gelform.exchange.exporters.press_folder import (
 )
 from gelform.sensors import read_sensor_toml, sensor_from_settings
 from gelform.simulate import LAYOUTS, Coating, Coin, Twin, simulate_ball_presses, simulate_press
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 
 def test_a_folder_that_holds_something_or_cannot_be_written_is_refused(tmp_path):
@@ -93,7 +81,7 @@ def test_images_are_rgb_and_rounded_tables_have_a_header_and_names_are_any(tmp_p
     name = 'a "quoted" \\ name\nin two lines'
     for serial in ({}, {"serial": "D\\20"}):
         write_sensor_toml(tmp_path / "sensor.toml", name, np.float64(0.3), **serial)
-        said = tomllib.loads((tmp_path / "sensor.toml").read_text())
+        said = tomlkit.loads((tmp_path / "sensor.toml").read_text())
         assert said == {"name": name, "mm_per_px": 0.3, **serial}
 
 
@@ -120,17 +108,15 @@ def test_what_is_written_is_what_was_simulated(tmp_path, quoted):
     rows = list(csv.DictReader((folder / "presses.csv").open()))
     assert len(rows) == 3
     for row, press in zip(rows, quoted.presses):
-        image = cv2.imread(str(folder / row["image"]))[..., ::-1]
-        np.testing.assert_array_equal(image, press.image)
+        np.testing.assert_array_equal(gelform.read_image(folder / row["image"]), press.image)
         assert float(row["ball_diameter_mm"]) == 6.31
         circle = [float(row[name]) for name in ("center_x_px", "center_y_px", "contact_radius_px")]
         assert circle == pytest.approx([*press.center_px, press.contact_radius_px], abs=1e-4)
     truth = np.load(folder / "truth" / "0002.npz")
     np.testing.assert_array_equal(truth["depth_mm"], quoted.presses[2].depth_mm.astype(np.float32))
     np.testing.assert_array_equal(truth["contact"], quoted.presses[2].contact)
-    sensor = tomllib.loads((folder / "sensor.toml").read_text())
-    assert sensor == {"name": QUOTED.name, "mm_per_px": 0.3}
-    np.testing.assert_array_equal(cv2.imread(str(folder / "background.png"))[..., ::-1], quoted.background)
+    assert tomlkit.loads((folder / "sensor.toml").read_text()) == {"name": QUOTED.name, "mm_per_px": 0.3}
+    np.testing.assert_array_equal(gelform.read_image(folder / "background.png"), quoted.background)
 
 
 def test_bad_lists_are_refused_and_nothing_is_left(tmp_path):
@@ -157,7 +143,7 @@ SET = SetOfPresses(SENSOR, (6.0, 9.0), count=5, seed=11)
 def test_a_press_is_written_with_its_truth_and_parameters(tmp_path):
     folder = save_simulated_press(tmp_path / "coin", SENSOR, Coin(), depth_mm=0.3, seed=4)
     press = simulate_press(SENSOR, Coin(), depth_mm=0.3, rng=np.random.default_rng(4))
-    np.testing.assert_array_equal(cv2.imread(str(folder / "image.png"))[..., ::-1], press.image)
+    np.testing.assert_array_equal(gelform.read_image(folder / "image.png"), press.image)
     with np.load(folder / "truth.npz") as truth:
         np.testing.assert_array_equal(truth["depth_mm"], press.depth_mm.astype(np.float32))
         np.testing.assert_array_equal(truth["shadowed"], press.shadowed)
@@ -171,7 +157,7 @@ def test_a_press_is_written_with_its_truth_and_parameters(tmp_path):
 def test_a_twins_press_looks_like_its_calibration(tmp_path, calibration):
     twin = Twin(calibration)
     folder = save_simulated_press(tmp_path / "twin", twin.sensor, Coin(), depth_mm=0.3, twin=twin)
-    np.testing.assert_array_equal(cv2.imread(str(folder / "background.png"))[..., ::-1], twin.background)
+    np.testing.assert_array_equal(gelform.read_image(folder / "background.png"), twin.background)
     assert json.loads((folder / "parameters.json").read_text())["like"] == calibration.sensor_name
 
 
@@ -273,29 +259,25 @@ def test_the_table_has_the_pose_of_each_frame(video, sensor):
     assert min(change[6:31]) > 2 * max(change[:6] + change[31:])
 
 
-def test_a_recording_has_the_pixels_of_the_video(video, sensor, tmp_path):
+@pytest.mark.parametrize(
+    ("form", "name", "dataset"),
+    [
+        ("video", "moving.avi", ""),
+        ("mcap", "moving.mcap", ""),
+        ("hdf5", "moving.h5", "data/*/obs/gel"),
+        ("lerobot", "lerobot", "*"),
+    ],
+)
+def test_each_form_has_the_pixels_of_the_video(video, sensor, tmp_path, form, name, dataset):
     images = [frame.image for frame in frames_of(video / "moving.avi")]
-    again = made(tmp_path / "again", sensor, "video")
-    assert (again / "moving.avi").read_bytes() == (video / "moving.avi").read_bytes()
-    recorded = frames_of(made(tmp_path, sensor, "mcap") / "moving.mcap")
-    assert np.array_equal([frame.image for frame in recorded], images)
-    assert recorded[25].wall_time_ns - recorded[0].wall_time_ns == 10**9
-
-
-def test_hdf5_has_the_pixels_of_the_video(video, sensor, tmp_path):
-    images = [frame.image for frame in frames_of(video / "moving.avi")]
-    (sequence,) = films_in_container(made(tmp_path, sensor, "hdf5") / "moving.h5", "moving", "data/*/obs/gel")
-    assert np.array_equal(list(container_values(sequence.path, sequence.dataset, 0, sequence.count)), images)
-
-
-def test_lerobot_has_the_pixels_of_the_video(video, sensor, tmp_path):
-    images = [frame.image for frame in frames_of(video / "moving.avi")]
-    (one,) = films_in_lerobot_set(made(tmp_path, sensor, "lerobot") / "lerobot", "*")
-    stored = list(stored_images(one.path, one.dataset, 0, 0, one.count))
-    assert one.rate_hz == 25
-    assert [time_s for time_s, _ in stored] == pytest.approx(np.arange(len(images)) / 25)
-    pictures = [cv2.imdecode(content, cv2.IMREAD_COLOR)[..., ::-1] for _, content in stored]
-    assert np.array_equal(pictures, images)
+    (part,) = plan_of(listing_of(made(tmp_path / "again", sensor, form) / name, dataset=dataset), 99)
+    found = [frame for _, frame in frames_of_part(part)]
+    assert np.array_equal([frame.image for frame in found], images)
+    if form != "hdf5":  # which has no times
+        assert [frame.time_s for frame in found] == pytest.approx(np.arange(len(images)) / 25)
+    if form == "mcap":
+        assert found[25].wall_time_ns - found[0].wall_time_ns == 10**9
+    assert part.film.rate_hz == (25 if form == "lerobot" else 0)
 
 
 def test_a_twin_presses_too(calibration, tmp_path):

@@ -1,13 +1,10 @@
-"""Maps as arrays: HDF5, one file per part, and Zarr, one array per map and sequence.
-
-HDF5: one file per part, and one file that presents each sequence as a whole.
+"""Maps as arrays: HDF5, one file per part and one that presents each sequence as a whole; Zarr, one array per map.
 
 `frames/<sequence>/<first frame>.h5` has a dataset per map, with one compressed chunk per frame. `frames.h5` is written when
 all parts are done. It has a group per sequence with virtual datasets that refer to the parts' files.
 
-Zarr: one array per map and sequence, one shard file per run of frames, one compressed chunk per frame.
-
-The folder `frames/` is a Zarr version 3 group; sequences are groups below it. A shard ("sharding_indexed" of the Zarr
+For Zarr the folder `frames/` is a version 3 group; sequences are groups below it. Each of their arrays, one per map, has one
+shard file per run of frames, with one compressed chunk per frame. A shard ("sharding_indexed" of the Zarr
 specification, version 3) contains the compressed frames, then (offset, size) of each as little-endian uint64, and a CRC-32C
 of those numbers. This module writes the shards itself: each is one file that appears complete, and its bytes depend only on
 the frames. zarr's own writer took several times as long per frame (`benchmarks/batch.py`).
@@ -43,7 +40,6 @@ from gelform.foundations.files import written_file
 from gelform.result import Reconstruction
 
 INDEX = "frames.h5"
-COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}  # every HDF5 reader knows it
 
 
 class Hdf5Files(PartWriter):
@@ -81,7 +77,9 @@ class Hdf5Files(PartWriter):
                 chunks=(1, *blank.shape),
                 dtype=blank.dtype,
                 fillvalue=blank.flat[0],
-                **COMPRESSION,
+                compression="gzip",  # which every HDF5 reader knows
+                compression_opts=1,
+                shuffle=True,
             )
             dataset.attrs.update({**attributes_of(name, self._target.settings), **self._target.facts})
         return self
@@ -93,35 +91,26 @@ class Hdf5Files(PartWriter):
 
 
 def write_hdf5_index(output: Path, files: list[str], source: Path) -> list[OutputFile]:
-    """Write the file of all sequences."""
-    return [write_output(output, output / INDEX, hdf5_index(output, files))]
-
-
-def hdf5_index(output: Path, files: list[str]) -> bytes:
-    """The file of all sequences: virtual datasets with relative paths of the parts' files."""
+    """Write the file of all sequences: virtual datasets with relative paths of the parts' files."""
     h5py, content = needed("h5py", "data", "HDF5"), io.BytesIO()
     sequences: dict[str, list[str]] = {}
     for name in files:
         sequences.setdefault(PurePosixPath(name).parent.relative_to(FRAMES).as_posix(), []).append(name)
     with h5py.File(content, "w") as file:
         for sequence, parts in sequences.items():
-            _add_sequence(h5py, file.require_group("/" if sequence == "." else sequence), output, parts)
-    return content.getvalue()
-
-
-def _add_sequence(h5py: Any, group: Any, output: Path, files: list[str]) -> None:
-    lengths, kinds = [], {}
-    for name in files:
-        with h5py.File(output / name, "r") as part:
-            kinds = {one: (d.shape, d.dtype, d.fillvalue, dict(d.attrs)) for one, d in part.items()}
-            lengths.append(max((len(dataset) for dataset in part.values()), default=0))
-    for one, (shape, dtype, fill, attributes) in kinds.items():
-        layout, begin = h5py.VirtualLayout((sum(lengths), *shape[1:]), dtype), 0
-        layout.dcpl.set_obj_track_times(False)  # the same bytes at any time
-        for name, length in zip(files, lengths):
-            layout[begin : begin + length] = h5py.VirtualSource(name, one, (length, *shape[1:]))
-            begin += length
-        group.create_virtual_dataset(one, layout, fillvalue=fill).attrs.update(attributes)
+            group, lengths, kinds = file.require_group("/" if sequence == "." else sequence), [], {}
+            for name in parts:
+                with h5py.File(output / name, "r") as part:
+                    kinds = {one: (d.shape, d.dtype, d.fillvalue, dict(d.attrs)) for one, d in part.items()}
+                    lengths.append(max((len(dataset) for dataset in part.values()), default=0))
+            for one, (shape, dtype, fill, attributes) in kinds.items():
+                layout, begin = h5py.VirtualLayout((sum(lengths), *shape[1:]), dtype), 0
+                layout.dcpl.set_obj_track_times(False)  # the same bytes at any time
+                for name, length in zip(parts, lengths):
+                    layout[begin : begin + length] = h5py.VirtualSource(name, one, (length, *shape[1:]))
+                    begin += length
+                group.create_virtual_dataset(one, layout, fillvalue=fill).attrs.update(attributes)
+    return [write_output(output, output / INDEX, content.getvalue())]
 
 
 def read_hdf5(path: Path, index: int) -> NDArray[Any] | None:
@@ -130,9 +119,6 @@ def read_hdf5(path: Path, index: int) -> NDArray[Any] | None:
         return np.asarray(file["depth_mm"][index - int(path.stem)]) if "depth_mm" in file else None
 
 
-MOST_SHARD_FRAMES = 64  # frames in memory until the shard is full
-MISSING = 2**64 - 1  # offset and size of a missing chunk, which reads as the array's fill value
-FILL = {"f": "NaN", "b": False, "u": 0}
 BLOSC: dict[str, Any] = {"cname": "lz4", "clevel": 1, "shuffle": "bitshuffle", "blocksize": 0}
 NODE = "zarr.json"
 
@@ -153,7 +139,14 @@ class ZarrArrays(PartWriter):
 
     def prepared(self, result: Reconstruction) -> dict[str, bytes]:
         """Each map as a compressed chunk."""
-        return {name: _compressed(values) for name, values in maps_of(result, self._target.settings).items()}
+        from numcodecs import blosc
+
+        chunks = {}
+        for name, values in maps_of(result, self._target.settings).items():
+            flat = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).reshape(-1).view(np.uint8)
+            how = BLOSC["cname"].encode(), BLOSC["clevel"], blosc.BITSHUFFLE
+            chunks[name] = bytes(blosc.compress(flat, *how, typesize=values.dtype.itemsize))
+        return chunks
 
     def add(self, name: str, index: int, prepared: dict[str, bytes] | None) -> dict[str, Any]:
         """Add a frame; a frame with an error is a missing chunk, which reads as NaN, False or level 0."""
@@ -198,14 +191,14 @@ class ZarrArrays(PartWriter):
 
 def shard_frames(part_frames: int) -> int:
     """Frames in a shard: the largest divisor of the part's frames up to 64, so that no shard belongs to two parts."""
-    return max(n for n in range(1, MOST_SHARD_FRAMES + 1) if part_frames % n == 0)
+    return max(n for n in range(1, 65) if part_frames % n == 0)
 
 
 def shard_bytes(chunks: list[bytes], length: int) -> bytes:
-    """A shard with `length` places; empty chunks, and places after the last chunk, are missing."""
+    """A shard with `length` places; empty chunks, and places after the last chunk, are missing: the fill value."""
     import google_crc32c
 
-    index = np.full((length, 2), MISSING, dtype="<u8")
+    index = np.full((length, 2), 2**64 - 1, dtype="<u8")
     offset = 0
     for k, chunk in enumerate(chunks):
         if chunk:
@@ -213,21 +206,6 @@ def shard_bytes(chunks: list[bytes], length: int) -> bytes:
             offset += len(chunk)
     trailer = index.tobytes()
     return b"".join([*chunks, trailer, google_crc32c.value(trailer).to_bytes(4, "little")])
-
-
-def _compressed(values: NDArray[Any]) -> bytes:
-    from numcodecs import blosc
-
-    flat = np.ascontiguousarray(values).reshape(-1)
-    flat = (
-        flat.view(np.uint8)
-        if flat.dtype == np.bool_
-        else flat.astype(flat.dtype.newbyteorder("<"), copy=False)
-    )
-    content = blosc.compress(
-        flat, BLOSC["cname"].encode(), BLOSC["clevel"], blosc.BITSHUFFLE, typesize=flat.dtype.itemsize
-    )
-    return bytes(content)
 
 
 def _array_node(blank: NDArray[Any], frames: int, length: int, attributes: dict[str, Any]) -> dict[str, Any]:
@@ -247,7 +225,7 @@ def _array_node(blank: NDArray[Any], frames: int, length: int, attributes: dict[
         "data_type": blank.dtype.name,
         "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [length, *shape]}},
         "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
-        "fill_value": FILL[blank.dtype.kind],
+        "fill_value": {"f": "NaN", "b": False, "u": 0}[blank.dtype.kind],
         "codecs": [{"name": "sharding_indexed", "configuration": sharding}],
         "dimension_names": ["frame", "y", "x", "axis"][: len(shape) + 1],
         "attributes": attributes,

@@ -1,7 +1,5 @@
 """A LeRobot data set (version 3.0) with depth: copies of the input's files, and a lossless video for each episode.
 
-A LeRobot data set (version 3.0) with depth: copies of the input's files, and a depth video for each episode.
-
 If loads were calibrated, the tables of frames gain the force on the gel, (3,) float32, N, and whether it is known (1 or 0).
 LeRobot's tools fail on NaN, so a force that is not known is 0 there.
 
@@ -18,9 +16,8 @@ import io
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from fractions import Fraction
 from itertools import islice
 from pathlib import Path
@@ -52,122 +49,31 @@ from gelform.robots.lerobot_depth import (
     lerobot_levels_from_depth,
 )
 
-
-@dataclass(frozen=True)
-class Codec:
-    """A lossless codec for levels.
-
-    Attributes
-    ----------
-    encoder : name in ffmpeg, such as "libx265"
-    pix_fmt : pixel format of one plane of little-endian uint16, such as "gray12le"
-    container : name of the muxer in ffmpeg, such as "mp4"
-    options : of the encoder
-    """
-
-    encoder: str
-    pix_fmt: str
-    container: str
-    options: Mapping[str, str] = field(default_factory=dict)
-
-
-class VideoWriter(PartWriter):
-    """Writes levels (H, W) uint16 as the frames of one video; the part is a whole sequence.
-
-    The frame times follow `rate_hz`; `av` is the module. DataError if it was built without the encoder.
-    """
-
-    def __init__(self, target: PartTarget, path: Path, codec: Codec, rate_hz: int, av: Any) -> None:
-        super().__init__(target)
-        self._path, self._codec, self._rate_hz, self._av = path, codec, rate_hz, av
-        self._open = ExitStack()
-        self._count = 0
-
-    def add(self, name: str, index: int, prepared: NDArray[np.uint16] | None) -> dict[str, Any]:
-        """Encode the next frame; level 0 (unknown) for a frame with an error."""
-        height, width = self._target.shape
-        frame = self._av.VideoFrame(width, height, self._codec.pix_fmt)
-        plane = frame.planes[0]  # its rows may be longer than the image's
-        rows = np.frombuffer(plane, dtype="<u2").reshape(-1, plane.line_size // 2)
-        rows[:height, :width] = UNKNOWN if prepared is None else prepared
-        frame.pts, frame.time_base = self._count, Fraction(1, self._rate_hz)
-        self._file.mux(self._stream.encode(frame))
-        self._handle.check()
-        self._count += 1
-        return self._row(self._path, prepared)
-
-    def __enter__(self) -> VideoWriter:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        with ExitStack() as opened:
-            self._handle = RememberingFile(opened.enter_context(written_file(self._path, overwrite=True)))
-            opened.callback(self._handle.check)
-            bitexact = {"fflags": "bitexact"}  # no random identifiers
-            self._file = opened.enter_context(
-                self._av.open(self._handle, "w", format=self._codec.container, options=bitexact)
-            )
-            self._stream = self._added_stream()
-            self._open = opened.pop_all()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        if error[0] is None:
-            self._file.mux(self._stream.encode())
-        self._open.__exit__(*error)  # a full disk becomes a DataError of `written_file`
-        if error[0] is None:
-            self.files.append(output_file(self._target.output, self._path))
-
-    def _added_stream(self) -> Any:
-        codec = self._codec
-        try:
-            stream = self._file.add_stream(codec.encoder, rate=self._rate_hz, options=dict(codec.options))
-        except self._av.codec.codec.UnknownCodecError as problem:
-            raise DataError(
-                f"This build of av has no encoder {codec.encoder}. Install the wheel: pip install av."
-            ) from problem
-        stream.height, stream.width = self._target.shape
-        stream.pix_fmt = codec.pix_fmt
-        stream.thread_count = 1  # the same bytes each time, and no threads besides the workers
-        return stream
-
-
 SUFFIX = "_depth"  # the depth feature's name ends so, after the camera's
-CAMERAS, FORCES = (
-    "observation.images.",
-    "observation.force.",
-)  # a camera's name begins so, and that of its force
-KNOWN = "_known"  # a force's name, then this: 1 or 0 for each axis
 AXES = ("x_n", "y_n", "z_n")  # of a force, along the image's axes and away from the camera
-DATA = "data"  # folder of the tables of frames
 MAX_CODE = 4095  # largest 12-bit code
-FILES_IN_A_CHUNK = 1000  # LeRobot's own default
 EPISODES = "lerobot"  # folder next to the records of parts: entries of each episode for the tables
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 Episodes = dict[str, dict[int, dict[str, Any]]]  # camera -> episode -> entries of its part
 Vectors = dict[str, dict[int, NDArray[np.float64]]]  # feature -> episode -> (frames, 3)
-X265 = "lossless=1"
+ENCODER, PIXELS, PRESET, X265 = "libx265", "gray12le", "ultrafast", "lossless=1"
 KEY_FRAMES = 2  # distance of key frames, as in LeRobot's own videos, for quick access to any frame
-CODEC = Codec(
-    "libx265",
-    "gray12le",
-    "mp4",
-    {
-        "g": str(KEY_FRAMES),
-        "preset": "ultrafast",
-        "x265-params": f"{X265}:bframes=0:pools=none:frame-threads=1:log-level=none",
-    },
-)
 
 
-class LerobotVideo(VideoWriter):
-    """Writes an episode's video, and its statistics and feature for the tables of the data set."""
+class LerobotVideo(PartWriter):
+    """Writes an episode's depth as a lossless video, and its statistics and feature for the tables of the data set.
+
+    DataError: av was built without the encoder.
+    """
 
     def __init__(self, target: PartTarget) -> None:
+        super().__init__(target)
+        self._av, self._open = needed("av", "data", "LeRobot"), ExitStack()
         self._key, self._episode = episode_of(target.part.film.name)
-        path = target.output / FRAMES / video_path(self._key + SUFFIX, self._episode)
-        super().__init__(target, path, CODEC, target.part.film.rate_hz, needed("av", "data", "LeRobot"))
+        self._path = target.output / FRAMES / video_path(self._key + SUFFIX, self._episode)
         self._counts = np.zeros(MAX_CODE + 1, dtype=np.int64)
-        self._forces: list[NDArray[np.float64] | None] = []
+        self._forces: list[NDArray[np.float64] | None] = []  # of each frame so far
 
     def prepared(self, result: Reconstruction) -> tuple[NDArray[np.uint16], NDArray[np.float64] | None]:
         """The levels, 1000 + depth in um, and the force (3,), N; None if no loads were calibrated."""
@@ -181,52 +87,90 @@ class LerobotVideo(VideoWriter):
 
     def add(self, name: str, index: int, prepared: Any | None) -> dict[str, Any]:
         """Encode the next frame; level 0 (unknown) and no force for a frame with an error."""
-        levels, force = prepared or (None, None)
-        if levels is None:
-            self._counts[0] += np.prod(self._target.shape)
-        else:
-            self._counts += np.bincount(levels.ravel(), minlength=MAX_CODE + 1)
+        levels, force = prepared or (np.full(self._target.shape, UNKNOWN, np.uint16), None)
+        height, width = self._target.shape
+        frame = self._av.VideoFrame(width, height, PIXELS)
+        plane = frame.planes[0]  # its rows may be longer than the image's
+        np.frombuffer(plane, dtype="<u2").reshape(-1, plane.line_size // 2)[:height, :width] = levels
+        frame.pts, frame.time_base = len(self._forces), Fraction(1, self._target.part.film.rate_hz)
+        self._file.mux(self._stream.encode(frame))
+        self._handle.check()
+        self._counts += np.bincount(levels.ravel(), minlength=MAX_CODE + 1)
         self._forces.append(force)
-        return super().add(name, index, levels)
+        return self._row(self._path, prepared)
+
+    def __enter__(self) -> LerobotVideo:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with ExitStack() as opened:
+            self._handle = RememberingFile(opened.enter_context(written_file(self._path, overwrite=True)))
+            opened.callback(self._handle.check)
+            # "bitexact": no random identifiers.
+            video = self._av.open(self._handle, "w", format="mp4", options={"fflags": "bitexact"})
+            self._file = opened.enter_context(video)
+            options = {
+                "g": str(KEY_FRAMES),
+                "preset": PRESET,
+                "x265-params": f"{X265}:bframes=0:pools=none:frame-threads=1:log-level=none",
+            }
+            rate_hz = self._target.part.film.rate_hz
+            try:
+                self._stream = self._file.add_stream(ENCODER, rate=rate_hz, options=options)
+            except self._av.codec.codec.UnknownCodecError as problem:
+                raise DataError(
+                    f"This build of av has no encoder {ENCODER}. Install the wheel: pip install av."
+                ) from problem
+            self._stream.height, self._stream.width = self._target.shape
+            self._stream.pix_fmt = PIXELS
+            self._stream.thread_count = 1  # the same bytes each time, and no threads besides the workers
+            self._open = opened.pop_all()
+        return self
 
     def __exit__(self, *error: Any) -> None:
-        super().__exit__(*error)
         if error[0] is None:
+            self._file.mux(self._stream.encode())
+        self._open.__exit__(*error)  # a full disk becomes a DataError of `written_file`
+        if error[0] is None:
+            target, count = self._target, len(self._forces)
+            self.files.append(output_file(target.output, self._path))
+            unknown, forces = np.full(len(AXES), np.nan), list[list[float | None]]()
+            if any(force is not None for force in self._forces):
+                rows = (unknown if force is None else force for force in self._forces)
+                forces = [[one if np.isfinite(one) else None for one in row.tolist()] for row in rows]
             facts = {
                 "key": self._key,
                 "episode_index": self._episode,
-                "length": self._count,
+                "length": count,
                 "feature": self._feature(),
-                "stats": statistics(self._counts, self._count),
-                "forces": self._known_forces(),
+                "stats": statistics(self._counts, count),
+                "forces": forces,  # (3,) of each frame; empty if no loads were calibrated
             }
-            path = self._target.output / PARTS / EPISODES / f"{self._target.part.film.name}.json"
-            self.files.append(self._target.write(path, json.dumps(facts).encode()))
-
-    def _known_forces(self) -> list[list[float | None]]:
-        """The force (3,) of each frame, None where it is not known; empty if no loads were calibrated."""
-        if all(force is None for force in self._forces):
-            return []
-        unknown = np.full(len(AXES), np.nan)
-        rows = (unknown if force is None else force for force in self._forces)
-        return [[value if np.isfinite(value) else None for value in row.tolist()] for row in rows]
+            path = target.output / PARTS / EPISODES / f"{target.part.film.name}.json"
+            self.files.append(write_output(target.output, path, json.dumps(facts).encode()))
 
     def _feature(self) -> dict[str, Any]:
         """The entry of the depth in `meta/info.json`: LeRobot's keys, and the origin of the depth."""
         height, width = self._target.shape
-        video = {"height": height, "width": width, "codec": "hevc", "pix_fmt": CODEC.pix_fmt, "channels": 1}
-        encoder = {
+        video = {
+            "height": height,
+            "width": width,
+            "codec": "hevc",
+            "pix_fmt": PIXELS,
+            "channels": 1,
+            "fps": self._target.part.film.rate_hz,
+            "extra_options": {"x265-params": X265},
             "g": KEY_FRAMES,
-            "preset": CODEC.options["preset"],
+            "preset": PRESET,
             "fast_decode": 0,
             "video_backend": "pyav",
+            "depth_min": 0.0,
+            "depth_max": MAX_CODE / 1000,
+            "shift": 0.0,
+            "use_log": False,
         }
-        codes = {"depth_min": 0.0, "depth_max": MAX_CODE / 1000, "shift": 0.0, "use_log": False}
-        more = {"fps": self._target.part.film.rate_hz, "extra_options": {"x265-params": X265}}
-        said = {f"video.{name}": value for name, value in {**video, **more, **encoder, **codes}.items()}
-        ours = {f"gelform.{name}": value for name, value in self._target.facts.items()}
-        ours["gelform.encoding"] = "1000 + depth in um, which LeRobot calls mm; 0: unknown"
-        info = {**said, "has_audio": False, "is_depth_map": True, "depth_unit": "mm", **ours}
+        ours = {**self._target.facts, "encoding": "1000 + depth in um, which LeRobot calls mm; 0: unknown"}
+        info = {f"video.{name}": value for name, value in video.items()}
+        info |= {"has_audio": False, "is_depth_map": True, "depth_unit": "mm"}
+        info |= {f"gelform.{name}": value for name, value in ours.items()}
         names = ["height", "width", "channels"]
         return {"dtype": "video", "shape": [height, width, 1], "names": names, "info": info}
 
@@ -243,17 +187,12 @@ def episode_of(sequence: str) -> tuple[str, int]:
 
 def force_key(key: str) -> str:
     """The name of the force on the gel of a camera."""
-    return FORCES + key.removeprefix(CAMERAS)
-
-
-def place_of_video(episode: int) -> tuple[int, int]:
-    """Chunk and file of an episode's video."""
-    return divmod(episode, FILES_IN_A_CHUNK)
+    return "observation.force." + key.removeprefix("observation.images.")
 
 
 def video_path(key: str, episode: int) -> str:
-    """The path of an episode's video below the data set."""
-    chunk, file = place_of_video(episode)
+    """The path of an episode's video below the data set; a chunk has LeRobot's default of a thousand files."""
+    chunk, file = divmod(episode, 1000)
     return VIDEO_PATH.format(video_key=key, chunk_index=chunk, file_index=file)
 
 
@@ -294,21 +233,25 @@ def check_lerobot_source(source: Path, keys: set[str]) -> None:
 
 def write_lerobot_set(output: Path, files: list[str], source: Path) -> list[OutputFile]:
     """Write all of the data set except the depth videos, which the parts wrote; the source stays unchanged."""
-    episodes, root, done = _episodes(output, files), output / FRAMES, []
+    root, done, episodes = output / FRAMES, list[OutputFile](), Episodes()
+    for name in files:
+        if name.endswith(".json"):
+            facts = json.loads((output / name).read_bytes())
+            episodes.setdefault(facts["key"], {})[facts["episode_index"]] = facts
     forces = _forces(episodes)
     for path in _to_copy(source):
-        if forces and path.parts[0] == DATA and path.suffix == ".parquet":
-            done.append(_with_forces(source / path, root / path, output, forces))
+        (root / path).parent.mkdir(parents=True, exist_ok=True)
+        if forces and path.parts[0] == "data" and path.suffix == ".parquet":
+            _write_with_forces(source / path, root / path, forces)
         else:
-            done.append(_copied(source / path, root / path, output))
+            _copy(source / path, root / path)
+        done.append(output_file(output, root / path))
     for path in sorted((source / EPISODE_TABLES).glob("*/*.parquet")):
         done.append(write_output(output, root / path.relative_to(source), _table(path, episodes, forces)))
     if (source / STATS).is_file():
         stats = json.loads(bytes_of(source / STATS, "statistics of a data set", MAX_TEXT_BYTES))
-        more = {
-            key + SUFFIX: _in_lists(_together([one["stats"] for one in of.values()]))
-            for key, of in episodes.items()
-        }
+        of_all = {key: _together([one["stats"] for one in of.values()]) for key, of in episodes.items()}
+        more = {key + SUFFIX: _in_lists(one) for key, one in of_all.items()}
         more |= {key: _of_vectors(np.concatenate(list(of.values()))) for key, of in forces.items()}
         done.append(write_output(output, root / STATS, _json({**stats, **more})))
     info = lerobot_info(source)
@@ -317,15 +260,6 @@ def write_lerobot_set(output: Path, files: list[str], source: Path) -> list[Outp
     info |= {"features": {**info["features"], **features}, "video_path": VIDEO_PATH}
     done.append(write_output(output, root / INFO, _json(info)))
     return done
-
-
-def _episodes(output: Path, files: list[str]) -> Episodes:
-    episodes: Episodes = {}
-    for name in files:
-        if name.endswith(".json"):
-            said = json.loads((output / name).read_bytes())
-            episodes.setdefault(said["key"], {})[said["episode_index"]] = said
-    return episodes
 
 
 def _to_copy(source: Path) -> Iterator[Path]:
@@ -341,21 +275,15 @@ def _to_copy(source: Path) -> Iterator[Path]:
                 yield here / name
 
 
-def _copied(path: Path, target: Path, output: Path) -> OutputFile:
-    """A copy of the file; an existing copy of an interrupted run is kept if its bytes are equal."""
-    if target.is_file() and _sha256(path) == _sha256(target):
-        return output_file(output, target)
-    target.parent.mkdir(parents=True, exist_ok=True)
+def _copy(path: Path, target: Path) -> None:
+    """Copy the file; an existing copy of an interrupted run is kept if its bytes are equal."""
+    if target.is_file() and len({output_file(one.parent, one).sha256 for one in (path, target)}) == 1:
+        return
     try:
         with path.open("rb") as file, written_file(target, overwrite=True) as copy:
             shutil.copyfileobj(file, copy, 1 << 20)
     except OSError as problem:
         raise DataError(f"Cannot copy {path}: {problem.strerror or problem}.") from problem
-    return output_file(output, target)
-
-
-def _sha256(path: Path) -> str:
-    return output_file(path.parent, path).sha256
 
 
 def _forces(episodes: Episodes) -> Vectors:
@@ -369,18 +297,15 @@ def _forces(episodes: Episodes) -> Vectors:
                 for number, one in of.items()
             }
             found[force_key(key)] = {number: np.nan_to_num(rows) for number, rows in force.items()}
-            found[force_key(key) + KNOWN] = {
-                number: np.isfinite(rows).astype(float) for number, rows in force.items()
-            }
+            known = {number: np.isfinite(rows).astype(float) for number, rows in force.items()}
+            found[f"{force_key(key)}_known"] = known
     return found
 
 
-def _with_forces(path: Path, target: Path, output: Path, forces: Vectors) -> OutputFile:
-    """A table of frames with the force on each camera's gel; one row group is in memory at a time."""
-    parquet = needed("pyarrow.parquet", "data", "LeRobot")
-    pyarrow = needed("pyarrow", "data", "LeRobot")
+def _write_with_forces(path: Path, target: Path, forces: Vectors) -> None:
+    """Write a table of frames with the force on each camera's gel; one row group is in memory at a time."""
+    parquet, pyarrow = (needed(name, "data", "LeRobot") for name in ("pyarrow.parquet", "pyarrow"))
     vector = pyarrow.list_(pyarrow.float32(), len(AXES))
-    target.parent.mkdir(parents=True, exist_ok=True)
     with parquet.ParquetFile(path) as file:
         # The metadata repeat the features for Hugging Face's reader, which takes them from the schema without.
         kept = {k: v for k, v in (file.schema_arrow.metadata or {}).items() if k != b"huggingface"}
@@ -396,7 +321,6 @@ def _with_forces(path: Path, target: Path, output: Path, forces: Vectors) -> Out
                     column = [of[episode][frame].tolist() for episode, frame in rows]
                     table = table.append_column(key, pyarrow.array(column, vector))
                 writer.write_table(table.cast(schema))
-    return output_file(output, target)
 
 
 def _of_vectors(rows: NDArray[np.float64]) -> dict[str, Any]:
@@ -409,14 +333,14 @@ def _of_vectors(rows: NDArray[np.float64]) -> dict[str, Any]:
 
 def _table(path: Path, episodes: Episodes, forces: Vectors) -> bytes:
     """A table of episodes with the places, times and statistics of their depth, and those of their forces."""
-    parquet = needed("pyarrow.parquet", "data", "LeRobot")
-    pyarrow = needed("pyarrow", "data", "LeRobot")
+    parquet, pyarrow = (needed(name, "data", "LeRobot") for name in ("pyarrow.parquet", "pyarrow"))
     table, content = parquet.read_table(path), io.BytesIO()
     numbers, columns = table["episode_index"].to_pylist(), []
     for key, of in episodes.items():
         columns.append([_columns(key + SUFFIX, of[number]) for number in numbers])
     for key, vectors in forces.items():
-        columns.append([_stats(key, _of_vectors(vectors[number])) for number in numbers])
+        of_force = [_of_vectors(vectors[number]) for number in numbers]
+        columns.append([{f"stats/{key}/{name}": one for name, one in row.items()} for row in of_force])
     for rows in columns:
         for name in rows[0] if rows else ():
             table = table.append_column(name, pyarrow.array([row[name] for row in rows]))
@@ -424,23 +348,17 @@ def _table(path: Path, episodes: Episodes, forces: Vectors) -> bytes:
     return content.getvalue()
 
 
-def _columns(key: str, said: dict[str, Any]) -> dict[str, Any]:
-    chunk, file = place_of_video(said["episode_index"])
-    rate_hz = said["feature"]["info"]["video.fps"]
-    where = {
-        "chunk_index": chunk,
-        "file_index": file,
-        "from_timestamp": 0.0,
-        "to_timestamp": said["length"] / rate_hz,
-    }
+def _columns(key: str, facts: dict[str, Any]) -> dict[str, Any]:
+    """Place, times and statistics of an episode's depth."""
+    chunk, file = divmod(facts["episode_index"], 1000)
+    duration_s = facts["length"] / facts["feature"]["info"]["video.fps"]
     return {
-        **{f"videos/{key}/{name}": value for name, value in where.items()},
-        **_stats(key, _in_lists(said["stats"])),
+        f"videos/{key}/chunk_index": chunk,
+        f"videos/{key}/file_index": file,
+        f"videos/{key}/from_timestamp": 0.0,
+        f"videos/{key}/to_timestamp": duration_s,
+        **{f"stats/{key}/{name}": value for name, value in _in_lists(facts["stats"]).items()},
     }
-
-
-def _stats(key: str, stats: dict[str, Any]) -> dict[str, Any]:
-    return {f"stats/{key}/{name}": value for name, value in stats.items()}
 
 
 def _together(episodes: list[dict[str, float]]) -> dict[str, float]:
@@ -476,5 +394,5 @@ def read_lerobot(path: Path, index: int) -> NDArray[np.float32]:
     """Depth of a frame, mm, read back from the video; its codes differ from those of `exporters.surface`."""
     with needed("av", "data", "LeRobot").open(str(path)) as file:
         frames = file.decode(file.streams.video[0])
-        codes = next(islice(frames, index, None)).to_ndarray(format=CODEC.pix_fmt)
+        codes = next(islice(frames, index, None)).to_ndarray(format=PIXELS)
     return depth_from_lerobot_levels(codes)

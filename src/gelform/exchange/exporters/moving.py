@@ -19,12 +19,6 @@ from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.simulate import Indenter, Pose, SimulatedSensor, Twin, simulate_sequence
 
-# Frames: rest until, pressed and sliding from, until, off the gel from, last. `track` compares with the first contact, so
-# the object goes in within one frame: a contact that grows has another surface.
-STEPS = (5, 6, 30, 31, 35)
-SLID_MM, TURNED_DEG = (0.9, 0.4), 4.0  # while it slides: along x and y, mm, and about z, degrees
-COLUMNS = ("index", "depth_mm", "x_mm", "y_mm", "turn_deg")  # of motion.csv
-START_NS = 1_767_225_600_000_000_000  # ns, UTC of the first frame: 2026-01-01
 Images = Sequence[Array]
 
 
@@ -42,26 +36,25 @@ def save_moving_press(
     something or cannot be written.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, 1)))
+    # Frames: rest until, pressed and sliding from, until, off the gel from, last. `track` compares with the first contact,
+    # so the object goes in within one frame: a contact that grows has another surface.
+    steps = (5, 6, 30, 31, 35)
+    deep, slid = (np.interp(range(36), steps, at) for at in ((0, 1, 1, 0, 0), (0, 0, 1, 1, 1)))
+    poses = [Pose(depth_mm * d, (0.9 * s, 0.4 * s), 4.0 * s) for d, s in zip(deep, slid)]  # mm, degrees
     images: list[Image] = []
     rows: list[dict[str, str]] = []
     twin = look if isinstance(look, Twin) else None
     sensor = look.sensor if isinstance(look, Twin) else look
-    for press in simulate_sequence(sensor, pressed, _poses(depth_mm), rng=None if twin else rng):
+    for press in simulate_sequence(sensor, pressed, poses, rng=None if twin else rng):
         if press is not None:  # the camera may drop a frame
             images.append(twin.rendered(press, rng).image if twin else press.image)
+            names = ("index", "depth_mm", "x_mm", "y_mm", "turn_deg")
             numbers = (len(rows), press.press_depth_mm, *press.center_mm, press.pose.spin_deg)
-            rows.append({name: f"{number:.6g}" for name, number in zip(COLUMNS, numbers)})
+            rows.append({name: f"{number:.6g}" for name, number in zip(names, numbers)})
     with written_whole(folder) as partial:
         for file, write, *_ in (FORMS[form] for form in dict.fromkeys(forms)):
             write(partial / file, images, sensor.timing.frame_rate_hz)
         write_csv(partial / "motion.csv", rows)
-
-
-def _poses(depth_mm: float) -> list[Pose]:
-    frames = np.arange(STEPS[-1] + 1)
-    deep, slid = (np.interp(frames, STEPS, at) for at in ((0, 1, 1, 0, 0), (0, 0, 1, 1, 1)))
-    x_mm, y_mm = SLID_MM
-    return [Pose(depth_mm * d, (x_mm * s, y_mm * s), TURNED_DEG * s) for d, s in zip(deep, slid)]
 
 
 def check_forms(forms: Sequence[str]) -> None:
@@ -83,8 +76,9 @@ def _write_video(path: Path, images: Images, rate_hz: float) -> None:
 
 def _write_mcap(path: Path, images: Images, rate_hz: float) -> None:
     recording = McapRecording(path, RecordingFacts("simulated press", rate_hz=rate_hz))
+    start_ns = 1_767_225_600_000_000_000  # UTC of the first frame: 2026-01-01
     for k, image in enumerate(images):
-        recording.write(Frame(image, k / rate_hz, START_NS + round(k / rate_hz * 1e9), k))
+        recording.write(Frame(image, k / rate_hz, start_ns + round(k / rate_hz * 1e9), k))
     recording.close()
 
 
@@ -95,6 +89,7 @@ def _write_hdf5(path: Path, images: Images, rate_hz: float) -> None:
 
 def _write_lerobot(root: Path, images: Images, rate_hz: float) -> None:
     """One episode of version 3.0, with its images in the table of frames."""
+    parquet, pyarrow = (needed(name, "data", "LeRobot") for name in ("pyarrow.parquet", "pyarrow"))
     camera, count, file = "observation.images.gel", len(images), "chunk-000/file-000.parquet"
     feature = {"dtype": "image", "shape": images[0].shape, "names": ["height", "width", "channels"]}
     info = {"codebase_version": "v3.0", "fps": round(rate_hz), "features": {camera: feature}}
@@ -108,8 +103,7 @@ def _write_lerobot(root: Path, images: Images, rate_hz: float) -> None:
     ]
     for name, table in (("meta/episodes", [episode]), ("data", rows)):
         (root / name / file).parent.mkdir(parents=True)
-        made = needed("pyarrow", "data", "LeRobot").Table.from_pylist(table)
-        needed("pyarrow.parquet", "data", "LeRobot").write_table(made, root / name / file)
+        parquet.write_table(pyarrow.Table.from_pylist(table), root / name / file)
     (root / "meta/info.json").write_text(json.dumps(info), encoding="utf-8")
 
 

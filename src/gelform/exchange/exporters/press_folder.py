@@ -1,6 +1,4 @@
-"""Folders that are written completely or not at all: simulated presses with their truth, and press folders.
-
-Simulated presses with their truth, as files: a single press, or a data set of any size.
+"""Folders that are written completely or not at all: press folders, and simulated presses with their truth.
 
 Several processes write a data set; its bytes do not depend on their number.
 """
@@ -20,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gelform.arrays import Array, Image
+from gelform.arrays import Image
 from gelform.errors import DataError
 from gelform.foundations.checks import (
     check_image,
@@ -67,7 +65,9 @@ def written_whole(target: Path) -> Iterator[Path]:
             yield partial
             with suppress(OSError):  # a file system without times
                 os.utime(partial)  # it has no lock from now on; `sweep` spares it for a minute
-        partial.chmod(0o777 & ~_umask())
+        mask = os.umask(0)  # the one way to ask for it
+        os.umask(mask)
+        partial.chmod(0o777 & ~mask)
         if target.exists():
             target.rmdir()
         partial.rename(target)
@@ -108,24 +108,6 @@ def write_png(path: Path, image: ArrayLike, shape: tuple[int, int] | None = None
     path.write_bytes(picture_bytes(pixels))
 
 
-def write_npz(path: Path, arrays: Mapping[str, ArrayLike]) -> None:
-    """Write named arrays, compressed."""
-    members: dict[str, Any] = {name: np.asarray(value) for name, value in arrays.items()}
-    with path.open("wb") as file:
-        np.savez_compressed(file, **members)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
-N_PER_MM3 = (
-    0.1  # N per mm^3 of displaced gel: 0.4 MPa over 4 mm of thickness, as springs side by side (Winkler)
-)
-
-
 def save_simulated_press(
     folder: str | os.PathLike[str],
     sensor: SimulatedSensor,
@@ -139,35 +121,31 @@ def save_simulated_press(
 
     With a `twin` the images are the twin's, and `sensor` is its sensor. The folder appears complete or not at all.
 
-    Raises
-    ------
-    DataError
-        The folder is not empty or cannot be written.
-    ValueError
-        The press is impossible; see `simulate_press`.
+    DataError: the folder is not empty or cannot be written. ValueError: the press is impossible; see `simulate_press`.
     """
-    from gelform import __version__
-
     rng = np.random.default_rng(seed)
     press = simulate_press(sensor, indenter, depth_mm=depth_mm, rng=rng)
     background = simulate_background(sensor, rng) if twin is None else twin.background
     if twin is not None:
         press = twin.rendered(press, rng)
-    parameters = {
-        "sensor": settings_from_sensor(sensor),
-        "like": None if twin is None else twin.look.name,
-        "seed": seed,
-        "gelform_version": __version__,
-    }
     target = Path(folder)
     with written_whole(target) as partial:
         write_png(partial / "background.png", background)
         write_png(partial / "image.png", press.image)
         write_truth(partial / "truth.npz", press, {"seed": seed}, mm_per_px=np.float64(sensor.mm_per_px))
-        text = json.dumps(parameters, indent=1, sort_keys=True)
-        (partial / "parameters.json").write_text(text + "\n", encoding="utf-8")
-        write_sensor_toml(partial / "sensor.toml", sensor.name, sensor.mm_per_px)
+        _write_parameters(partial, sensor, twin, seed=seed)
     return target
+
+
+def _write_parameters(folder: Path, sensor: SimulatedSensor, twin: Twin | None, **others: Any) -> None:
+    """Write sensor.toml, and parameters.json with everything that determines the images."""
+    from gelform import __version__
+
+    like = None if twin is None else twin.look.name
+    parameters = {"sensor": settings_from_sensor(sensor), "like": like, "gelform_version": __version__}
+    text = json.dumps({**parameters, **others}, indent=1, sort_keys=True)
+    (folder / "parameters.json").write_text(text + "\n", encoding="utf-8")
+    write_sensor_toml(folder / "sensor.toml", sensor.name, sensor.mm_per_px)
 
 
 def write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any], **arrays: Any) -> None:
@@ -179,29 +157,19 @@ def write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any], **ar
         "tilt_deg": list(press.pose.tilt_deg),
         "time_s": press.time_s,
     }
-    members: dict[str, Any] = {
-        **arrays,
-        **truth_from_press(press),
-        "albedo": press.albedo,
-        "shadowed": press.shadowed,
-        "saturated": press.saturated,
-        "markers_px": press.markers_px,
-        "markers_shift_mm": press.markers_shift_mm,
-        "meta": np.array(json.dumps({**meta, **pose, "indenter": repr(press.indenter)}, sort_keys=True)),
-    }
-    write_npz(path, members)
+    names = ("albedo", "shadowed", "saturated", "markers_px", "markers_shift_mm")
+    maps = {**arrays, **truth_from_press(press), **{name: getattr(press, name) for name in names}}
+    text = json.dumps({**meta, **pose, "indenter": repr(press.indenter)}, sort_keys=True)
+    np.savez_compressed(path, **maps, meta=np.array(text))
 
 
-def truth_from_press(press: SimulatedPress) -> dict[str, Array]:
+def truth_from_press(press: SimulatedPress) -> dict[str, Any]:
     """The saved truth of a simulated press: depth_mm, gradients (float32), contact."""
     return {
         "depth_mm": press.depth_mm.astype(np.float32),
         "gradients": press.gradients.astype(np.float32),
         "contact": press.contact,
     }
-
-
-COLUMNS = ("image", "ball_diameter_mm", "center_x_px", "center_y_px", "contact_radius_px")
 
 
 @dataclass(frozen=True)
@@ -247,20 +215,6 @@ class SetOfPresses:
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(0,)))
         return np.asarray(simulate_background(self.sensor, rng), dtype=np.uint8)
 
-    def parameters(self) -> dict[str, Any]:
-        """All parameters, for JSON."""
-        from gelform import __version__
-
-        return {
-            "sensor": settings_from_sensor(self.sensor),
-            "ball_diameters_mm": list(self.ball_diameters_mm),
-            "count": self.count,
-            "seed": self.seed,
-            "oversample": self.oversample,
-            "like": None if self.twin is None else self.twin.look.name,
-            "gelform_version": __version__,
-        }
-
 
 def save_simulated_set(
     folder: str | os.PathLike[str],
@@ -277,12 +231,7 @@ def save_simulated_set(
     Writes background.png, presses.csv, sensor.toml, parameters.json, images/0000.png and truth/0000.npz, ... (depth_mm,
     gradients, contact, albedo, shadowed, saturated, markers_px, markers_shift_mm, and `meta`: pose, seed, number).
     Each press has its own random stream, so the bytes do not depend on the number of workers. The folder appears
-    complete or not at all.
-
-    Raises
-    ------
-    DataError
-        The folder is not empty or cannot be written.
+    complete or not at all. DataError: it is not empty or cannot be written.
     """
     if workers < 1:
         raise ValueError(f"Expected workers >= 1, got {workers}.")
@@ -294,28 +243,27 @@ def save_simulated_set(
         rows, known = [], []
         for row in _rows_of_simulated(presses, partial, workers):
             load = row.pop("force_n")
-            known.append({"image": row["image"], "object": f"ball {row[COLUMNS[1]]} mm", "force_n": load})
+            ball = f"ball {row['ball_diameter_mm']} mm"
+            known.append({"image": row["image"], "object": ball, "force_n": load})
             rows.append(row)
             progress(len(rows), presses.count, "simulating")
         write_csv(partial / "presses.csv", rows)
         if loads:
             write_csv(partial / "loads.csv", known)
-        text = json.dumps(presses.parameters(), indent=1, sort_keys=True)
-        (partial / "parameters.json").write_text(text + "\n", encoding="utf-8")
-        write_sensor_toml(partial / "sensor.toml", presses.sensor.name, presses.sensor.mm_per_px)
+        kept = {name: getattr(presses, name) for name in ("ball_diameters_mm", "count", "seed", "oversample")}
+        _write_parameters(partial, presses.sensor, presses.twin, **kept)
     return target
 
 
 def _rows_of_simulated(presses: SetOfPresses, folder: Path, workers: int) -> Iterator[dict[str, str]]:
-    """Write each press, in this process or in several; yields the lines of presses.csv in order."""
-    numbers: Sequence[int] = range(presses.count)
+    """Write each press, in this process or in several; yields the lines of presses.csv in order, with each load."""
     if workers == 1:
-        for k in numbers:
+        for k in range(presses.count):
             yield _write_press(presses, folder, k)
         return
     with worker_processes(workers) as pool:
         with interrupt_held():
-            jobs = [pool.submit(_write_press, presses, folder, k) for k in numbers]
+            jobs = [pool.submit(_write_press, presses, folder, k) for k in range(presses.count)]
         for job in jobs:
             yield job.result()
 
@@ -324,11 +272,16 @@ def _write_press(presses: SetOfPresses, folder: Path, k: int) -> dict[str, str]:
     press = presses.press(k)
     write_png(folder / f"images/{k:04d}.png", press.image)
     write_truth(folder / f"truth/{k:04d}.npz", press, {"number": k, "seed": presses.seed})
-    x, y = press.center_px
-    numbers = (f"{press.ball_diameter_mm:.6g}", f"{x:.4f}", f"{y:.4f}", f"{press.contact_radius_px:.4f}")
     volume_mm3 = float(press.depth_mm[press.contact].sum(dtype=np.float64)) * presses.sensor.mm_per_px**2
-    load = {"force_n": f"{N_PER_MM3 * volume_mm3:.6g}"}
-    return dict(zip(COLUMNS, (f"images/{k:04d}.png", *numbers))) | load
+    return {
+        "image": f"images/{k:04d}.png",
+        "ball_diameter_mm": f"{press.ball_diameter_mm:.6g}",
+        "center_x_px": f"{press.center_px[0]:.4f}",
+        "center_y_px": f"{press.center_px[1]:.4f}",
+        "contact_radius_px": f"{press.contact_radius_px:.4f}",
+        # 0.4 MPa over 4 mm of thickness, as springs side by side (Winkler).
+        "force_n": f"{0.1 * volume_mm3:.6g}",
+    }
 
 
 def save_press_folder(
@@ -348,27 +301,12 @@ def save_press_folder(
     """Write presses of balls as the folder that `calibrate` reads.
 
     Writes background.png, presses.csv, sensor.toml, images/0000.png, ... and, with `truths`, truth/0000.npz, ... into a
-    temporary folder, and renames that when it is complete.
+    temporary folder, and renames that when it is complete. The background and each image are (H, W, 3) RGB, 0-255; `name` is
+    the sensor's; centers and radii are labels, known for simulated presses; each of `truths` is arrays by name, such as
+    depth_mm.
 
-    Parameters
-    ----------
-    folder : path, new or empty
-    background : (H, W, 3) RGB, 0-255
-    images : N times (H, W, 3) uint8, RGB
-    ball_diameters_mm : N numbers
-    mm_per_px : float, mm
-    name : str, of the sensor
-    serial : serial number of the camera; empty without one
-    centers_px, contact_radii_px : N labels, known for simulated presses
-    truths : N times named arrays, such as depth_mm and gradients
-    progress : called with (done, total, what)
-
-    Raises
-    ------
-    DataError
-        The folder is not empty or cannot be written.
-    ValueError
-        Lists differ in length, images differ in size, or numbers are not positive.
+    DataError: the folder is not empty or cannot be written.
+    ValueError: lists differ in length, images differ in size, or numbers are not positive.
     """
     target = check_path(folder, "folder as a path")
     images = check_list(images, "images")
@@ -385,7 +323,7 @@ def save_press_folder(
             write_png(partial / rows[k]["image"], image, (height, width))
             if truths is not None:
                 (partial / "truth").mkdir(exist_ok=True)
-                write_npz(partial / "truth" / f"{k:04d}.npz", truths[k])
+                np.savez_compressed(partial / f"truth/{k:04d}.npz", **dict[str, Any](truths[k]))
             progress(k + 1, len(images), "writing presses")
         write_csv(partial / "presses.csv", rows)
         write_sensor_toml(partial / "sensor.toml", name, pitch, serial)
@@ -424,16 +362,12 @@ def _rows(
     """The lines of presses.csv."""
     if count == 0:
         raise ValueError("Expected at least one image, got none.")
-    for what, values in (
-        ("ball_diameters_mm", diameters_mm),
-        ("centers_px", centers_px),
-        ("contact_radii_px", radii_px),
-    ):
-        if values is None and what != "ball_diameters_mm":
-            continue
-        length = len(check_list(values, what))
-        if length != count:
-            raise ValueError(f"Expected {count} {what}, one per image, got {length}.")
+    given = {"ball_diameters_mm": diameters_mm, "centers_px": centers_px, "contact_radii_px": radii_px}
+    for what, values in given.items():
+        if values is not None or what == "ball_diameters_mm":
+            length = len(check_list(values, what))
+            if length != count:
+                raise ValueError(f"Expected {count} {what}, one per image, got {length}.")
     rows = []
     for k in range(count):
         diameter = check_positive(diameters_mm[k], "ball_diameter_mm")

@@ -30,38 +30,26 @@ ZERO_LEVEL, MM_PER_LEVEL, UNKNOWN = 32768, 1e-4, 0  # 16-bit levels: 0.1 um per 
 
 
 def levels_from_depth(depth_mm: ArrayLike, known: ArrayLike | None = None) -> NDArray[np.uint16]:
-    """16-bit levels (H, W) of a depth map in mm, rounded to 0.1 um.
+    """16-bit levels (H, W) of a depth map in mm, -3.2767 to 3.2767 mm, rounded to 0.1 um; 0 where it is not known.
 
-    Parameters
-    ----------
-    depth_mm : (H, W), -3.2767 to 3.2767 mm where known
-    known : (H, W) bool; False becomes level 0
-
-    Raises
-    ------
-    DataError
-        Depth is out of range; nothing is clipped.
-    ValueError, TypeError
-        Depth is no finite (H, W) array of numbers, or `known` has another shape.
+    DataError: depth is out of range; nothing is clipped.
+    ValueError, TypeError: depth is no finite (H, W) array of numbers, or `known` has another shape.
     """
     exact = np.float32 if getattr(depth_mm, "dtype", None) == np.float32 else np.float64
     depth = check_values(depth_mm, "depth_mm", (), exact)
     mask = np.ones(depth.shape, dtype=bool) if known is None else np.asarray(known)
     if mask.dtype != np.bool_ or mask.shape != depth.shape:
         raise ValueError(f"Expected known as bool of shape {depth.shape}, got {mask.dtype} of {mask.shape}.")
-    hidden = None if mask.all() else ~mask
     levels = np.divide(depth, MM_PER_LEVEL, dtype=np.float64)
     np.rint(levels, out=levels)
     levels += ZERO_LEVEL
-    if hidden is not None:
-        levels[hidden] = ZERO_LEVEL
+    levels[~mask] = ZERO_LEVEL
     if levels.min() < UNKNOWN + 1 or levels.max() > np.iinfo(np.uint16).max:
         raise DataError(
             f"Expected depth from -3.2767 to 3.2767 mm, which 16 bits hold at 0.1 um, got {depth.min():.3f} to "
             f"{depth.max():.3f} mm. Write npz or tiff."
         )
-    if hidden is not None:
-        levels[hidden] = UNKNOWN
+    levels[~mask] = UNKNOWN
     return levels.astype(np.uint16)
 
 
@@ -78,7 +66,6 @@ def depth_from_levels(levels: Array) -> tuple[Map, Mask]:
 
 
 M_PER_MM = 1e-3
-BASE_SHARE = 0.1  # distance of an STL's base below the lowest point, as a fraction of the frame's width
 _MAIN = """<?xml version="1.0" encoding="UTF-8"?>
 <p:ISO5436_2 xmlns:p="http://www.opengps.eu/2008/ISO5436_2" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" \
 xsi:schemaLocation="http://www.opengps.eu/2008/ISO5436_2 http://www.opengps.eu/2008/ISO5436_2/ISO5436_2.xsd">
@@ -195,7 +182,7 @@ def _ply(result: Reconstruction) -> bytes:
 def _stl(result: Reconstruction) -> bytes:
     top = points_from_result(result)
     base, count = top.copy(), len(top)
-    base[:, 2] = top[:, 2].max() + BASE_SHARE * np.ptp(top[:, 0])
+    base[:, 2] = top[:, 2].max() + 0.1 * np.ptp(top[:, 0])  # a tenth of the width below the lowest point
     surface, index = _surface_triangles(*result.depth.shape), np.arange(count).reshape(result.depth.shape)
     rim = np.concatenate([index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]])
     after = np.roll(rim, -1)

@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from gelform.arrays import Array, Numbers
+from gelform.arrays import Numbers
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import CalibrationError
 from gelform.exchange.exporters.press_folder import written_whole
@@ -28,12 +28,6 @@ RENDERERS = {  # channel (of R, G, B) that each renderer reads from grad_r, grad
     "isaaclab": (0, 1, 2),
 }
 BINS = 125  # as in Taxim
-JPEG = [  # best quality, with color at every pixel
-    cv2.IMWRITE_JPEG_QUALITY,
-    100,
-    cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
-    cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
-]
 
 
 def save_taxim(
@@ -41,24 +35,11 @@ def save_taxim(
 ) -> Path:
     """Write `polycalib.npz`, `bg.jpg`, `real_bg.npy` and a note with the renderer's settings for them.
 
-    Parameters
-    ----------
-    calibration : a Calibration or its file
-    folder : new or empty; appears complete or not at all
-    renderer : "taxim" (and TacEx), whose `grad_r` is the blue channel, or "isaaclab", whose `grad_r` is the red one
+    The folder is new or empty; it appears complete or not at all. `grad_r` is the blue channel for the renderer "taxim" (and
+    TacEx), and the red one for "isaaclab".
 
-    Returns
-    -------
-    folder : Path
-
-    Raises
-    ------
-    CalibrationError
-        The calibration was imported without a forward response, or has no mm per px.
-    DataError
-        The folder is not empty or cannot be written.
-    ValueError
-        The renderer is unknown.
+    CalibrationError: the calibration was imported without a forward response, or has no mm per px.
+    DataError: the folder is not empty or cannot be written. ValueError: the renderer is unknown.
     """
     calibration, folder = as_calibration(calibration), check_path(folder)
     check_choice(renderer, RENDERERS, "renderer")
@@ -73,7 +54,9 @@ def save_taxim(
         np.savez(partial / "polycalib.npz", bins=BINS, **arrays)
         background = calibration.background
         levels = np.rint(background).astype(np.uint8)
-        (partial / "bg.jpg").write_bytes(picture_bytes(levels, ".jpg", JPEG))
+        full_color = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+        jpeg = picture_bytes(levels, ".jpg", (cv2.IMWRITE_JPEG_QUALITY, 100, *full_color))
+        (partial / "bg.jpg").write_bytes(jpeg)
         np.save(partial / "real_bg.npy", background[..., list(RENDERERS[renderer])])
         (partial / "settings.txt").write_text(_settings(calibration, renderer), encoding="utf-8")
     return folder
@@ -89,7 +72,9 @@ def taxim_table(calibration: Calibration) -> Numbers:
     """
     calibration.color_from_gradients(np.zeros((*calibration.image_shape, 2)))  # raises without a response
     response: Any = calibration.forward
-    y_px, x_px = _places(calibration.image_shape)
+    # The polynomials are fitted to 9 x 12 pixels spread over the image.
+    lines = (np.round(np.linspace(0, n - 1, k)) for n, k in zip(calibration.image_shape, (9, 12)))
+    y_px, x_px = (one.ravel() for one in np.meshgrid(*lines, indexing="ij"))
     blurred = cv2.GaussianBlur(calibration.background, (0, 0), 4)  # a quadratic polynomial contains no dust
     untouched = blurred[y_px.astype(int), x_px.astype(int)]
     terms = np.stack([x_px**2, y_px**2, x_px * y_px, x_px, y_px, np.ones(x_px.size)], axis=1)
@@ -108,13 +93,6 @@ def taxim_table(calibration: Calibration) -> Numbers:
         levels = image_from_color_change(change.reshape(background.shape), background, calibration.change)
         table[steepness] = np.einsum("kp,dpc->dck", fit, levels.astype(np.float64) - background)
     return table
-
-
-def _places(shape: tuple[int, int]) -> tuple[Array, Array]:
-    """Rows and columns of 9 x 12 pixels spread over an image, to which the polynomials are fitted."""
-    rows, columns = (np.round(np.linspace(0, n - 1, k)) for n, k in zip(shape, (9, 12)))
-    grid = np.meshgrid(rows, columns, indexing="ij")
-    return grid[0].ravel(), grid[1].ravel()
 
 
 def _settings(calibration: Calibration, renderer: str) -> str:

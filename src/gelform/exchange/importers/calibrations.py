@@ -17,7 +17,7 @@ from zipfile import ZipFile
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gelform import __version__
+from gelform import View, __version__, image_from_frame
 from gelform.arrays import Map, Numbers
 from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.errors import DataError, needed, said
@@ -25,19 +25,16 @@ from gelform.exchange.importers.tables import mm_per_px_of_lut, read_lut
 from gelform.foundations.checks import check_choice, check_image, check_is, check_path, check_sensor_pitch
 from gelform.foundations.files import DAMAGED_ARCHIVE, present_file
 from gelform.image.background import ChangeSettings, noise_from_image
-from gelform.image.view import View, image_from_frame
 from gelform.sensors.profiles import SENSORS, check_gel_width, make_of, view_from_camera
 from gelform.slopes.color_models import ColorModel, NetworkModel
 from gelform.slopes.color_models.networks import Layers
 
 WEB_SIZES = (5, 64, 64, 64, 2)  # of the layers of gsrobotics' browser port
-LAYERS = 4  # of each package's network
 UNITS = {"gs_sdk": (32, 128), "gsrobotics": (64,)}  # of the first layer; 128 in gs_sdk's older networks
 # All that a pickle of weights names; and how it writes the size of a storage.
 _NAMES = re.compile(
     r"collections OrderedDict|torch\._utils _rebuild_(tensor_v2|parameter)|torch [A-Z][A-Za-z0-9]*Storage"
 )
-_NUMBERS = ("BININT", "BININT1", "BININT2", "LONG1")
 MAX_BYTES = 4 * 2**20  # of all members of a file: 100 times these networks
 
 
@@ -50,13 +47,8 @@ def read_gs_sdk(path: str | PathLike[str], background: Map) -> NetworkModel:
 
 
 def read_gsrobotics(path: str | PathLike[str], background: Map, *, position: str) -> NetworkModel:
-    """gsrobotics' `nnmini.pt`: B, G, R, row/H, column/W to normals n_x, n_y.
-
-    Parameters
-    ----------
-    position : "zeros" as in the original program, which truncates the positions, or "true"
-    """
-    return NetworkModel(_layers(path, "gsrobotics"), background, _position(position), "normals")
+    """gsrobotics' `nnmini.pt`: B, G, R, row/H, column/W to normals n_x, n_y; for `position` see `POSITIONS`."""
+    return NetworkModel(_layers(path, "gsrobotics"), background, POSITIONS[position], "normals")
 
 
 def read_gsrobotics_web(path: str | PathLike[str], background: Map, *, position: str) -> NetworkModel:
@@ -68,32 +60,24 @@ def read_gsrobotics_web(path: str | PathLike[str], background: Map, *, position:
             f"Expected {4 * wanted} bytes ({wanted} numbers, little-endian float32), got {path} of "
             f"{path.stat().st_size}. Is it the browser port's file of weights?"
         )
-    numbers = np.fromfile(path, dtype="<f4")
-    weights, biases, start = [], [], 0
+    left, weights, biases = np.fromfile(path, dtype="<f4"), [], []
     for n_in, n_out in pairwise(WEB_SIZES):
-        weights.append(numbers[start : start + n_in * n_out].reshape(n_out, n_in))
-        biases.append(numbers[start + n_in * n_out : start + n_in * n_out + n_out])
-        start += n_in * n_out + n_out
-    return NetworkModel(
-        _of_file(path, tuple(weights), tuple(biases)), background, _position(position), "normals"
-    )
-
-
-def _position(position: str) -> Any:
-    if position not in ("zeros", "true"):
-        raise ValueError(f"Expected position as 'zeros' or 'true', got {position!r}.")
-    return "zeros" if position == "zeros" else "yx"
+        weight, bias, left = np.split(left, [n_in * n_out, n_in * n_out + n_out])
+        weights.append(weight.reshape(n_out, n_in))
+        biases.append(bias)
+    layers = _of_file(path, tuple(weights), tuple(biases))
+    return NetworkModel(layers, background, POSITIONS[position], "normals")
 
 
 def _layers(path: str | PathLike[str], package: str) -> Layers:
     """fc1 ... fc4 or conv1 ... conv4 of a file; their width distinguishes the two packages' networks."""
     tensors = _state_dict(present_file(path, "weights saved by torch (.pth, .pt)"))
     kind = "conv" if "conv1.weight" in tensors else "fc"
-    wanted = [f"{kind}{k}.{part}" for k in range(1, LAYERS + 1) for part in ("weight", "bias")]
+    wanted = [f"{kind}{k}.{part}" for k in range(1, 5) for part in ("weight", "bias")]
     missing = [name for name in wanted if name not in tensors]
     if missing:
         raise DataError(
-            f"Expected the layers {kind}1 to {kind}{LAYERS} in {path}, got {', '.join(list(tensors)[:6]) or 'none'}. "
+            f"Expected the layers {kind}1 to {kind}4 in {path}, got {', '.join(list(tensors)[:6]) or 'none'}. "
             "Is it of another package?"
         )
     width = tuple(tensors[wanted[0]].shape[:1])
@@ -101,7 +85,7 @@ def _layers(path: str | PathLike[str], package: str) -> Layers:
         other = next((f": is it {name}'s?" for name, sizes in UNITS.items() if {*width} & {*sizes}), ".")
         sizes = " or ".join(map(str, UNITS[package]))
         raise DataError(f"Expected hidden layers of {sizes} units in {path}, got {width}{other}")
-    weights, biases = zip(*(_folded(tensors, kind, k, path) for k in range(1, LAYERS + 1)))
+    weights, biases = zip(*(_folded(tensors, kind, k, path) for k in range(1, 5)))
     return _of_file(path, weights, biases)
 
 
@@ -175,8 +159,13 @@ def _state_dict(path: Path) -> dict[str, Any]:
     except Exception as problem:  # torch names no classes for what is damaged
         raise DataError(f"{path} is truncated or damaged: {said(problem)}. Copy it again.") from problem
     content = content.get("state_dict", content) if isinstance(content, dict) else None
-    kept = content.items() if isinstance(content, dict) else ()
-    return {str(name): one.detach() for name, one in kept if isinstance(one, torch.Tensor) and _is_plain(one)}
+    tensors = {str(name): one for name, one in content.items()} if isinstance(content, dict) else {}
+    return {  # of floats one by one: not sparse, and no mere shape
+        name: one.detach()
+        for name, one in tensors.items()
+        if isinstance(one, torch.Tensor) and one.is_floating_point()
+        if str(one.layout) == "torch.strided" and one.device.type == "cpu"
+    }
 
 
 def _check_pickle(content: bytes) -> None:
@@ -199,17 +188,11 @@ def _check_pickle(content: bytes) -> None:
             raise UnpicklingError(f"the name {argument}")
         if name == "BINPERSID":
             (of_count, count), (of_storage, _) = said[-2:]
-            numbers += count if of_count in _NUMBERS and of_storage == "TUPLE" else MAX_BYTES + 1
+            is_number = of_count in ("BININT", "BININT1", "BININT2", "LONG1") and of_storage == "TUPLE"
+            numbers += count if is_number else MAX_BYTES + 1
         if not 0 <= numbers <= MAX_BYTES:
             raise UnpicklingError("a storage larger than the file")
         said.append((name, argument))
-
-
-def _is_plain(tensor: Any) -> bool:
-    """Whether it holds floats one by one: not sparse, and not a mere shape."""
-    return bool(
-        tensor.is_floating_point() and str(tensor.layout) == "torch.strided" and tensor.device.type == "cpu"
-    )
 
 
 def _of_file(path: str | PathLike[str], weights: tuple[Any, ...], biases: tuple[Any, ...]) -> Layers:
@@ -234,6 +217,8 @@ PACKAGES: dict[str, Callable[..., ColorModel]] = {
     "lut": read_lut,
 }
 POSITIONED = ("gsrobotics", "gsrobotics-web")
+# Places in a network's input: "zeros" as in the original program, which truncates them, or "true" as in its training.
+POSITIONS: dict[str, Any] = {"zeros": "zeros", "true": "yx"}
 # Makes whose frames a package's own programs crop and resize, as their profiles do.
 MAKES = dict.fromkeys(("gs_sdk", *POSITIONED), "gelsight-mini")
 
@@ -280,25 +265,24 @@ def import_calibration(
         check_is(sensor_name, str, "sensor_name")
     frame = check_image(background, name="background").astype(np.float32)
     if package == "lut" and mm_per_px is None:
-        mm_per_px = mm_per_px_of_lut(path, (frame.shape[0], frame.shape[1]))
+        mm_per_px = mm_per_px_of_lut(path, frame.shape[:2])
     if mm_per_px is not None:
         mm_per_px = check_sensor_pitch(mm_per_px)
-    view = _view(MAKES.get(package), (frame.shape[0], frame.shape[1]), mm_per_px)
+    view = _view(MAKES.get(package), frame.shape[:2], mm_per_px)
     image = image_from_frame(frame, view)
     if mm_per_px is not None:
         make = MAKES.get(package) if not view.is_identity else make_of(sensor_name or "")
-        check_gel_width((image.shape[0], image.shape[1]), mm_per_px, make)
+        check_gel_width(image.shape[:2], mm_per_px, make)
     model = PACKAGES[package](path, image, **options)
-    blur_px = (
-        0.5**0.5 if package == "lut" else 0.0
-    )  # as wide as the 3x3 blur of tables, weights 1/4, 1/2, 1/4
+    # As wide as the 3x3 blur of tables, weights 1/4, 1/2, 1/4.
+    blur_px = 0.5**0.5 if package == "lut" else 0.0
     change = ChangeSettings("subtract", 0.0, blur_px)
     return Calibration(
         sensor_name=sensor_name or Path(path).stem,
         serial=None,
         gel_id=None,
         view=view,
-        image_shape=(image.shape[0], image.shape[1]),
+        image_shape=image.shape[:2],
         mm_per_px=mm_per_px,
         mm_per_px_sigma=None,
         background=image,
@@ -327,9 +311,8 @@ def _view(make: str | None, frame_shape: tuple[int, int], mm_per_px: float | Non
     profile = known.profile
     if frame_shape == profile.image_shape:
         return view_from_camera(make, frame_shape, mm_per_px)
-    if (
-        frame_shape != known.camera.frame_shape
-    ):  # of another sensor, unless the scale says that it is this one
+    # Of another shape it is of another sensor, unless the scale says that it is this one.
+    if frame_shape != known.camera.frame_shape:
         cropped = profile.has_aspect(frame_shape) and profile.is_cropped_scale(mm_per_px)
         return profile.view(frame_shape) if cropped else View()
     if mm_per_px is not None and not profile.is_cropped_scale(mm_per_px):
@@ -348,7 +331,7 @@ def _options(
     check_choice(package, PACKAGES, "a package")
     if position is not None:
         check_is(position, str, "position")
-    if position not in (("zeros", "true") if package in POSITIONED else (None,)):
+    if position not in (POSITIONS if package in POSITIONED else (None,)):
         raise ValueError(
             f"Expected position ('zeros' as its program feeds it, or 'true') for {' and '.join(POSITIONED)} and no "
             f"other, got {position!r} for {package}."

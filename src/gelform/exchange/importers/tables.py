@@ -27,11 +27,7 @@ from gelform.foundations.files import DAMAGED_ARCHIVE, MAX_ARRAY_BYTES, bytes_of
 from gelform.slopes.color_models.tables import LookupModel
 
 RANGE_LEVELS = (-90.0, 90.0)  # gray levels, the usual range of differences in a look-up table without one
-MATLAB_LEVELS = (
-    10.0,
-    1024.0,
-)  # Scale, gray levels; older programs divide by the background first, and have 0.005
-LUT_FIELDS = ("bins", "GradMag", "GradDir", "Zeropoint", "Scale")
+MOST_LEVELS = 1024.0  # gray levels, the widest range of differences
 HEIGHT, WIDTH = 480, 640  # px, size of the images whose pixels Taxim's polynomials use
 MEMBERS = ("bins", "grad_b", "grad_g", "grad_r")  # "r" is channel 0 of an OpenCV image, which is blue
 _DAMAGED = (OSError, *DAMAGED_ARCHIVE, ValueError, AttributeError, TypeError)
@@ -50,20 +46,12 @@ def read_lut(
     bins' centers, with linear interpolation between them. The table's gradient for no difference is subtracted. The
     file does not state its accuracy, so no standard deviation is given.
 
-    Parameters
-    ----------
-    path : a `.npy`; or a `.mat` with MATLAB's struct LookupTable, whose slope angles GradMag and directions GradDir become
-        gradients, and which states its range
-    depth_sign : 1 if the table's surface rises where pressed, -1 if it falls
-    range_levels : (low, high), gray levels, of the differences that a `.npy` spans in each channel, or three such pairs in a
-        row, for blue, green and red; -90 to 90 by default
+    A `.mat` has MATLAB's struct LookupTable, whose slope angles GradMag and directions GradDir become gradients, and
+    states its range. The differences of a `.npy` span `range_levels` in each channel, (low, high) in gray levels, or three
+    such pairs in a row, for blue, green and red; -90 to 90 by default. `depth_sign` is 1 if the table's surface rises where
+    pressed, -1 if it falls.
 
-    Raises
-    ------
-    DataError
-        The file is missing, no such table, or damaged.
-    ValueError
-        The range is none, or is given for a `.mat`.
+    DataError: the file is missing, no such table, or damaged. ValueError: the range is none, or is given for a `.mat`.
     """
     if depth_sign not in (1, -1):
         raise ValueError(f"Expected depth_sign 1 or -1, got {depth_sign}.")
@@ -76,7 +64,13 @@ def read_lut(
         step = np.full(3, fields["Scale"] / (len(slopes) - 1))
         low = np.full(3, fields["Zeropoint"])
     else:
-        slopes = _lut(path).transpose(2, 1, 0, 3)  # to red, green, blue
+        array = read_npy(path, "a look-up table")
+        shape = array.shape
+        if len(shape) != 4 or shape[3] != 2 or len(set(shape[:3])) != 1 or not 4 <= shape[0] <= 200:
+            raise DataError(f"Expected a table of shape (bins, bins, bins, 2) in {path}, got {shape}.")
+        if not np.issubdtype(array.dtype, np.floating) or not np.isfinite(array).all():
+            raise DataError(f"Expected finite floats in {path}, got {array.dtype} or NaN.")
+        slopes = array.astype(np.float64).transpose(2, 1, 0, 3)  # to red, green, blue
         low, high = _ranges(range_levels)
         step = (high - low) / len(slopes)
     unknown = np.zeros((*slopes.shape[:3], 1))
@@ -89,10 +83,9 @@ def _ranges(given: Sequence[float] | None) -> tuple[Numbers, Numbers]:
     """Lowest and highest difference (3,) of red, green and blue."""
     given = RANGE_LEVELS if given is None else given
     numbers = check_numbers(given, "range_levels", 6 if len(given) > 2 else 2)
-    pairs = np.broadcast_to(np.reshape(numbers, (-1, 2)), (3, 2))[
-        ::-1
-    ]  # blue, green, red to red, green, blue
-    if not ((pairs[:, 0] < 0) & (pairs[:, 1] > 0) & (abs(pairs) <= MATLAB_LEVELS[1]).all(axis=1)).all():
+    # Blue, green, red to red, green, blue.
+    pairs = np.broadcast_to(np.reshape(numbers, (-1, 2)), (3, 2))[::-1]
+    if not ((pairs[:, 0] < 0) & (pairs[:, 1] > 0) & (abs(pairs) <= MOST_LEVELS).all(axis=1)).all():
         raise ValueError(
             f"Expected range_levels (--range) as a low difference below 0 and a high one above, gray levels, got {given}."
         )
@@ -139,29 +132,25 @@ def _matlab(path: str | PathLike[str]) -> dict[str, Any]:
             f"{path} is no file of MATLAB with a LookupTable, or a damaged one: {said(problem)}."
         ) from problem
     fields: dict[str, Any] = {name: one.item() if one.size == 1 else one for name, one in arrays.items()}
-    missing = [name for name in LUT_FIELDS if name not in fields]
+    wanted = ("bins", "GradMag", "GradDir", "Zeropoint", "Scale")
+    missing = [name for name in wanted if name not in fields]
     if missing:
         raise DataError(
-            f"Expected the fields {', '.join(LUT_FIELDS)} in LookupTable of {path}, got no {', '.join(missing)}."
+            f"Expected the fields {', '.join(wanted)} in LookupTable of {path}, got no {', '.join(missing)}."
         )
-    shape, bins = np.shape(fields["GradMag"]), fields["bins"]
-    cubes = (
-        shape == np.shape(fields["GradDir"]) == (shape[:1] * 3) and 4 <= shape[0] <= 200 and bins == shape[0]
-    )
+    magnitude, direction, zero, scale = (fields[name] for name in wanted[1:])
+    shape = np.shape(magnitude)
+    are_cubes = len(shape) == 3 and shape == np.shape(direction) == (shape[:1] * 3)
     if (
-        not cubes
-        or not np.isfinite([fields["GradMag"], fields["GradDir"]]).all()
-        or abs(fields["GradMag"]).max() >= np.pi / 2
+        not (are_cubes and 4 <= shape[0] <= 200 and fields["bins"] == shape[0])
+        or not np.isfinite([magnitude, direction]).all()
+        or abs(magnitude).max() >= np.pi / 2
     ):
         raise DataError(
             f"Expected GradMag (angles under pi/2) and GradDir of shape (bins, bins, bins) in {path}, got {shape}."
         )
-    zero, scale = fields["Zeropoint"], fields["Scale"]
-    if (
-        np.ndim(zero)
-        or np.ndim(scale)
-        or not (MATLAB_LEVELS[0] <= scale <= MATLAB_LEVELS[1] and -scale < zero < 0)
-    ):
+    # Older programs divide by the background first, and have a scale of 0.005.
+    if np.ndim(zero) or np.ndim(scale) or not (10 <= scale <= MOST_LEVELS and -scale < zero < 0):
         raise DataError(
             f"Expected Zeropoint and Scale of {path} in gray levels, such as -90 and 180, got {zero} and {scale}. gelform "
             "reads tables of gray-level differences (matchGrad_Bnz), none of differences over the background (matchGrad)."
@@ -180,16 +169,6 @@ def _check_inflated(content: bytes) -> None:
             if left < 0:
                 raise ValueError(f"it takes more than {MAX_ARRAY_BYTES >> 20} MB")
         at += 8 + int(size)
-
-
-def _lut(path: str | PathLike[str]) -> Numbers:
-    array = read_npy(path, "a look-up table")
-    shape = array.shape
-    if len(shape) != 4 or shape[3] != 2 or len(set(shape[:3])) != 1 or not 4 <= shape[0] <= 200:
-        raise DataError(f"Expected a table of shape (bins, bins, bins, 2) in {path}, got {shape}.")
-    if not np.issubdtype(array.dtype, np.floating) or not np.isfinite(array).all():
-        raise DataError(f"Expected finite floats in {path}, got {array.dtype} or NaN.")
-    return np.asarray(array, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +207,7 @@ class TaximLook:
 
     Attributes
     ----------
-    tables : TaximTables
+    tables : from `read_taxim_forward`
     background : (H, W, 3) float32, 4:3 as the tables, oriented as the images of their calibration
     mm_per_px : of this image; the tables contain no scale
     noise : (3,) gray levels
@@ -272,10 +251,7 @@ def is_taxim_forward(path: str | PathLike[str]) -> bool:
 def read_taxim_forward(path: str | PathLike[str]) -> TaximTables:
     """Read Taxim's `polycalib.npz`.
 
-    Raises
-    ------
-    DataError
-        The file is missing, lacks these tables, is damaged, too large, or of another form.
+    DataError: it is missing, lacks these tables, is damaged, too large, or of another form.
     """
     path = check_path(path)
     try:
