@@ -39,12 +39,18 @@ def hub(sensor, calibration, library):
         return source
 
     station = Station(0, "simulated", opened, made.changed)
-    station.setup = Setup().with_calibration(calibration, made.calibrations.add("mine", calibration))
+    station.setup = Setup(calibration, made.calibrations.add("mine", calibration))
     made.stations.append(station)
     station.start()
     until(lambda: station.newest)
     yield made
     made.close()
+
+
+@pytest.fixture
+def station(hub):
+    """The hub's station."""
+    return hub.stations[0]
 
 
 class Running:

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from gelform.errors import CalibrationError, GelformError, SensorError
 from gelform.live import actions
 from gelform.live.hub import Hub
-from gelform.live.lists import Calibrations, Devices, Recordings, camera_facts, set_camera
-from gelform.live.station import Station
+from gelform.live.lists import Calibrations, Devices, Recordings
+from gelform.live.station import Setup, Station
 from gelform.live.web.client import text
 from gelform.sensors.cameras import SETTABLE, Camera
 from gelform.sensors.simulated import SimulatedSource
@@ -55,12 +55,12 @@ def adjustable(sensor):
     hub.close()
 
 
-def test_cameras_and_sources_are_listed_with_what_is_known(hub):
+def test_cameras_and_sources_are_listed_with_what_is_known(hub, station):
     devices = Devices(hub.stations, lambda: [LEFT, RIGHT])
     rows = until(lambda: (r := devices.facts()) and r[0]["rate_hz"] and r)
-    simulated = f"simulated {hub.stations[0].source.sensor.name}"
+    simulated = f"simulated {station.source.sensor.name}"
     assert [row["name"] for row in rows] == [simulated, "DIGIT", "DIGIT"]
-    assert [row["serial"] for row in rows] == [hub.stations[0].source.serial, "D1", "D2"]
+    assert [row["serial"] for row in rows] == [station.source.serial, "D1", "D2"]
     assert rows[0]["state"] == "running"
     assert rows[0]["age_ms"] < 10_000
     assert rows[0]["lost"] == 0 <= rows[0]["skipped"]
@@ -68,7 +68,7 @@ def test_cameras_and_sources_are_listed_with_what_is_known(hub):
 
 
 @pytest.fixture
-def choice(hub):
+def choice(hub, station):
     """The hub with two cameras on its list; each is a camera of its own that serves one reader alone."""
     if why_absent() is not None:
         pytest.skip(str(why_absent()))
@@ -77,9 +77,7 @@ def choice(hub):
         hub.devices = Devices(
             hub.stations, lambda: [LEFT, RIGHT], lambda camera, _: open_source(urls[camera.serial])
         )
-        hub.stations.append(
-            Station(1, "second", lambda: SimulatedSource(hub.stations[0].source.sensor), hub.changed)
-        )
+        hub.stations.append(Station(1, "second", lambda: SimulatedSource(station.source.sensor), hub.changed))
         hub.stations[1].start()
         yield hub
 
@@ -88,24 +86,24 @@ def numbers_of(hub):
     return {row["serial"]: row["camera"] for row in hub.devices.facts() if row["camera"] is not None}
 
 
-def test_a_camera_of_the_list_is_shown_with_its_calibration_and_left_again(choice, calibration):
-    hub, station = choice, choice.stations[0]
+def test_a_camera_of_the_list_is_shown_with_its_calibration_and_left_again(choice, station, calibration):
+    hub, station = choice, station
     name = hub.calibrations.add("of D2", replace(calibration, serial="D2"))
-    actions.show_camera(hub, 0, numbers_of(hub)["D2"])
+    actions.show_camera(hub, hub.stations[0], numbers_of(hub)["D2"])
     until(lambda: not station.facts()["simulated"] and station.facts()["state"] == "running")
     assert station.setup.name == name
     assert station.facts()["opened"]
     assert list(numbers_of(hub)) == ["D1"]  # the other one is not offered twice
     assert hub.notices[-1][2].endswith("shows DIGIT, with its calibration of D2.")
-    actions.open_recording(hub, 0, "")
+    actions.open_recording(hub, hub.stations[0], "")
     until(lambda: station.facts()["simulated"])
     assert station.setup.name == "mine"
     assert set(numbers_of(hub)) == {"D1", "D2"}
 
 
-def test_a_camera_without_a_calibration_shows_its_image(choice):
-    actions.show_camera(choice, 0, numbers_of(choice)["D1"])
-    assert choice.stations[0].setup.calibration is None
+def test_a_camera_without_a_calibration_shows_its_image(choice, station):
+    actions.show_camera(choice, station, numbers_of(choice)["D1"])
+    assert station.setup.calibration is None
     assert "none in the list has its serial" in choice.notices[-1][2]
 
 
@@ -130,45 +128,45 @@ def test_of_two_pages_that_want_one_camera_the_first_gets_it(choice):
     assert "already shows DIGIT" in sorted(said)[1]
 
 
-def test_a_camera_that_is_not_on_the_list_is_not_opened(hub):
+def test_a_camera_that_is_not_on_the_list_is_not_opened(hub, station):
     with pytest.raises(GelformError, match="no longer plugged in"):
-        actions.show_camera(hub, 0, 9)
-    assert hub.stations[0].facts()["simulated"]
+        actions.show_camera(hub, station, 9)
+    assert station.facts()["simulated"]
 
 
 def test_a_setting_is_set_read_back_and_told_to_everybody(adjustable):
-    actions.set_camera(adjustable, 0, "exposure", 80.0)
+    actions.set_camera(adjustable, adjustable.stations[0], "exposure", 80.0)
     assert adjustable.notices[-1][2].endswith("80, read back.")
-    assert camera_facts(adjustable.stations[0])["settable"] == {"exposure": 80.0}
-    assert adjustable.stations[0].wanted == {"exposure": 80.0}
+    assert adjustable.stations[0].facts()["settable"] == {"exposure": 80.0}
+    assert adjustable.stations[0].opening.wanted == {"exposure": 80.0}
 
 
 def test_a_value_that_the_camera_does_not_take_is_not_remembered(adjustable):
     with pytest.raises(SensorError, match="within"):
-        actions.set_camera(adjustable, 0, "exposure", 1e5)
-    assert adjustable.stations[0].wanted == {}
+        actions.set_camera(adjustable, adjustable.stations[0], "exposure", 1e5)
+    assert adjustable.stations[0].opening.wanted == {}
     with pytest.raises(GelformError, match="exposure, gain"):
-        set_camera(adjustable.stations[0], "fps", 10.0)
+        actions.set_camera(adjustable, adjustable.stations[0], "fps", 10.0)
 
 
-def test_a_source_without_settings_says_so(hub):
+def test_a_source_without_settings_says_so(hub, station):
     for name in SETTABLE:
         with pytest.raises(GelformError, match="Only a USB camera"):
-            actions.set_camera(hub, 0, name, 1.0)
-    assert camera_facts(hub.stations[0]) == {"settable": {}}
+            actions.set_camera(hub, station, name, 1.0)
+    assert station.facts()["settable"] == {}
 
 
 def test_a_camera_set_otherwise_than_calibrated_is_a_finding_of_its_results(adjustable, calibration):
     station = adjustable.stations[0]
     settings = {**calibration.settings} | {"camera": {"exposure": 50.0}}
-    station.setup = station.setup.with_calibration(replace(calibration, settings=settings), "mine")
+    station.setup = Setup(replace(calibration, settings=settings), "mine")
 
     def said():
         result = station.newest.result
         return result and [one.message for one in result.health if one.name == "settings_mismatch"]
 
     until(lambda: said() == [])
-    set_camera(station, "exposure", 60.0)
+    actions.set_camera(adjustable, station, "exposure", 60.0)
     (message,) = until(said)
     assert "exposure 60.0 instead of 50.0" in message
 

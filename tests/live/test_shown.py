@@ -25,11 +25,11 @@ from gelform.live.shown import (
     PLANES,
     Shown,
     Snapshots,
-    bits_plane,
     depth_plane,
     image_plane,
     level_plane,
     message,
+    number_plane,
     outlines_of,
     read_message,
 )
@@ -51,7 +51,7 @@ def test_planes_come_back_by_name():
 
 
 def test_planes_are_aligned_for_typed_arrays():
-    odd = bits_plane("flags", np.ones((3, 5), np.uint8), "raw")
+    odd = number_plane("flags", np.ones((3, 5), np.uint8), "raw")
     data = message({"a": "ä"}, [odd, depth_plane(DEPTH, "raw")])
     header, _ = read_message(data)
     start = 8 + int.from_bytes(data[4:8], "little")
@@ -115,8 +115,8 @@ def test_levels_are_cut_at_255_steps():
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_bits_come_through_packing(dtype):
     bits = np.random.default_rng(1).integers(0, np.iinfo(dtype).max, (20, 30)).astype(dtype)
-    np.testing.assert_array_equal(floats(bits_plane("causes", bits, "small")), bits[::2, ::2])
-    np.testing.assert_array_equal(floats(bits_plane("causes", bits, "raw")), bits)
+    np.testing.assert_array_equal(floats(number_plane("causes", bits, "small")), bits[::2, ::2])
+    np.testing.assert_array_equal(floats(number_plane("causes", bits, "raw")), bits)
 
 
 def test_the_image_is_rgb_raw_and_as_jpeg(depth):

@@ -39,8 +39,8 @@ class Slow:
         self.closed = True
 
 
-def test_a_slow_sink_is_given_the_newest_and_holds_nobody_up(hub):
-    sink, station = Slow(), hub.stations[0]
+def test_a_slow_sink_is_given_the_newest_and_holds_nobody_up(hub, station):
+    sink, station = Slow(), station
     feeder = Feeder(hub, sink, "slow")
     assert sink.busy.wait(10)
     assert hub.watched()
@@ -70,8 +70,8 @@ class Broken:
         self.closed = True
 
 
-def test_a_sink_that_fails_is_a_notice_and_the_page_goes_on(hub):
-    sink, station = Broken(), hub.stations[0]
+def test_a_sink_that_fails_is_a_notice_and_the_page_goes_on(hub, station):
+    sink, station = Broken(), station
     Feeder(hub, sink, "rerun")
     until(lambda: sink.closed)
     assert hub.sinks == 0
@@ -81,10 +81,10 @@ def test_a_sink_that_fails_is_a_notice_and_the_page_goes_on(hub):
 
 
 @pytest.mark.parametrize("paused", [False, True])
-def test_it_closes_whether_or_not_frames_come(hub, paused):
+def test_it_closes_whether_or_not_frames_come(hub, station, paused):
     sink = Slow()
     sink.let.set()
-    hub.stations[0].paused = paused
+    station.paused = paused
     Feeder(hub, sink, "slow").close()
     assert sink.closed
 

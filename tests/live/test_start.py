@@ -124,7 +124,7 @@ def test_a_folder_of_blue_green_red_frames_is_shown_in_rgb_and_has_its_controls(
         until(lambda: (one := station.newest) and one.frame.number == 1)
         np.testing.assert_array_equal(station.newest.frame.image, image)
         hub.folder = tmp_path
-        actions.share(hub, 0)
+        actions.share(hub, station)
         shared = until(lambda: next(tmp_path.glob("shared*.mcap"), None))
         np.testing.assert_array_equal(open_film(shared)[1].image, image)
 
@@ -138,10 +138,10 @@ def test_bgr_holds_for_recordings_that_are_opened_later_and_not_for_the_pages_ow
     with closing(start(Options([str(given)], folder=tmp_path, bgr=True))) as hub:
         station = hub.stations[0]
         until(lambda: station.player)
-        actions.share(hub, 0)
+        actions.share(hub, station)
         shared = until(lambda: next(tmp_path.glob("shared*.mcap"), None))
         for path in (later, shared):
-            actions.open_recording(hub, 0, hub.recordings.add(path))
+            actions.open_recording(hub, station, hub.recordings.add(path))
             until(lambda path=path: station.player and station.player.recording.path == path)
             np.testing.assert_array_equal(station.player.recording[0].image, image)
 
@@ -304,10 +304,10 @@ def test_the_untouched_gel_is_asked_for_and_depth_follows(never, unpressed):
     station = hub.stations[0]
     assert said(hub) == {"state": "ask", "sensor": "", "make": "", "said": []}
     with pytest.raises(GelformError, match="Choose the sensor in the list"):
-        actions.take_starter(hub, 0, "")
+        actions.take_starter(hub, station, "")
     station.sensor = MAKE
     assert said(hub)["sensor"] == said(hub)["make"] == MAKE
-    actions.take_starter(hub, 0, "")
+    actions.take_starter(hub, station, "")
     show(never, unpressed[0.4])
     until(lambda: station.newest.numbers and station.newest.numbers.peak > 0.3)
     assert said(hub)["state"] == "used"
@@ -320,35 +320,37 @@ def test_the_untouched_gel_is_asked_for_and_depth_follows(never, unpressed):
 def test_something_that_moves_is_said_and_it_is_taken_again(never, unpressed):
     hub, _ = never
     show(never, [*unpressed[0.0], *unpressed[0.4]])
-    actions.take_starter(hub, 0, MAKE)
+    actions.take_starter(hub, hub.stations[0], MAKE)
     assert said(hub)["state"] == "ask"
     assert "Something moves" in said(hub)["said"][0]
     show(never, unpressed[0.0])
-    actions.take_starter(hub, 0, MAKE)
+    actions.take_starter(hub, hub.stations[0], MAKE)
     assert said(hub)["said"] == []
     first = hub.stations[0].setup.calibration
     show(never, [image // 2 for image in unpressed[0.0]])
-    actions.take_background(hub, 0)  # the lamps are half as bright: the starter is brought to them
+    actions.take_background(
+        hub, hub.stations[0]
+    )  # the lamps are half as bright: the starter is brought to them
     second = hub.stations[0].setup.calibration
     assert second.background.mean() < 0.6 * first.background.mean()
     assert len(hub.calibrations.names) == 1
-    actions.undo_background(hub, 0)
+    actions.undo_background(hub, hub.stations[0])
     assert hub.stations[0].setup.calibration is first is hub.calibrations[hub.stations[0].setup.name]
 
 
 def test_a_pressed_gel_is_no_background(never, unpressed):
     hub, _ = never
     show(never, unpressed[0.4])
-    actions.take_starter(hub, 0, MAKE)
+    actions.take_starter(hub, hub.stations[0], MAKE)
     assert said(hub)["state"] == "ask"
     assert "Something touches the gel" in said(hub)["said"][0]
 
 
 def test_another_make_is_said(never):
     hub, _ = never
-    actions.take_starter(hub, 0, "digit")
+    actions.take_starter(hub, hub.stations[0], "digit")
     assert "background of a DIGIT" in said(hub)["said"][0]
-    actions.take_starter(hub, 0, "gelsight-mini")
+    actions.take_starter(hub, hub.stations[0], "gelsight-mini")
     assert "background of a GelSight Mini" in said(hub)["said"][0]
     assert said(hub)["state"] == "ask"
 
@@ -359,14 +361,14 @@ def test_a_scratched_gel_is_said_beside_the_depth(never, unpressed):
     for image in scratched:
         image[100:112] //= 8
     show(never, scratched)
-    actions.take_starter(hub, 0, MAKE)
+    actions.take_starter(hub, hub.stations[0], MAKE)
     assert any("scratched" in one for one in said(hub)["said"])
 
 
 def test_the_guide_takes_its_scale(never):
     hub, _ = never
-    actions.take_starter(hub, 0, MAKE)
-    actions.guide_start(hub, 0, 5.0, MAKE, 0.5)
+    actions.take_starter(hub, hub.stations[0], MAKE)
+    actions.guide_start(hub, hub.stations[0], 5.0, MAKE, 0.5)
     known = hub.guides[0].guide.settings
     assert known.mm_per_px == load_starter(MAKE).calibration.mm_per_px
     assert (known.name, known.serial) == (MAKE, "S1")
@@ -378,58 +380,60 @@ def test_a_make_that_was_named_is_asked_for_instead_of_calibrated():
         assert not hub.work
         assert said(hub)["sensor"] == MAKE
         until(lambda: hub.stations[0].newest)
-        actions.take_starter(hub, 0, "")  # the simulated sensor rests meanwhile
+        actions.take_starter(hub, hub.stations[0], "")  # the simulated sensor rests meanwhile
         assert said(hub)["state"] == "used"
         until(lambda: hub.stations[0].newest.result)
     finally:
         hub.close()
 
 
-def test_a_press_is_made_where_the_guide_asks_and_counts(hub, tmp_path):
+def test_a_press_is_made_where_the_guide_asks_and_counts(hub, station, tmp_path):
     hub.folder = tmp_path
-    actions.guide_start(hub, 0, 5.0, "", 0.0)
+    actions.guide_start(hub, station, 5.0, "", 0.0)
     guide = hub.guides[0].guide
     until(lambda: guide.target)
     x, y = guide.target.x_px, guide.target.y_px
     until(lambda: guide.count >= 1)
     assert guide.facts()["accepted"][0][:2] == pytest.approx((x, y), abs=4)
-    hub.end_guide(0)
+    hub.end_guide(station)
     assert not hub.guides
-    assert not hub.stations[0].taps
+    assert not station.taps
 
 
-def test_what_was_fitted_is_reported_and_used(hub, tmp_path, library, presses, calibration, monkeypatch):
+def test_what_was_fitted_is_reported_and_used(
+    hub, station, tmp_path, library, presses, calibration, monkeypatch
+):
     hub.folder = tmp_path
-    actions.guide_start(hub, 0, 5.0, "", 0.0)
+    actions.guide_start(hub, station, 5.0, "", 0.0)
     session = hub.guides[0]
     with pytest.raises(GelformError, match="no calibration to use"):
-        actions.guide_use(hub, 0)
+        actions.guide_use(hub, station)
     monkeypatch.setattr(session.guide, "presses", lambda: presses)
     monkeypatch.setattr("gelform.calibration.guide.calibrate", lambda *_, **__: calibration)
     session.guide.fit(hub.folder)
     assert session.guide.step == "report"
     assert session.guide.facts()["report"]["folder"] == session.guide.made.folder.name
     assert not list(library.glob("*"))
-    actions.guide_use(hub, 0)
-    assert hub.stations[0].setup.calibration.digest == calibration.digest
+    actions.guide_use(hub, station)
+    assert station.setup.calibration.digest == calibration.digest
     (kept,) = library.iterdir()
-    assert hub.stations[0].setup.name == kept.name
+    assert station.setup.name == kept.name
     assert "The library has it too" in hub.notices[-1][2]
 
 
-def test_what_is_not_used_is_used_nowhere(hub, tmp_path, library, presses, calibration, monkeypatch):
-    hub.folder, before = tmp_path, hub.stations[0].setup
+def test_what_is_not_used_is_used_nowhere(hub, station, tmp_path, library, presses, calibration, monkeypatch):
+    hub.folder, before = tmp_path, station.setup
     monkeypatch.setattr("gelform.calibration.guide.calibrate", lambda *_, **__: calibration)
-    actions.guide_start(hub, 0, 5.0, "", 0.0)
+    actions.guide_start(hub, station, 5.0, "", 0.0)
     guide = hub.guides[0].guide
     monkeypatch.setattr(guide, "presses", lambda: presses)
     guide.fit(hub.folder)
     folder = guide.made.folder
     listed = hub.calibrations.names
-    actions.guide_stop(hub, 0)
+    actions.guide_stop(hub, station)
     assert not hub.guides
     assert not list(library.glob("*"))
-    assert hub.stations[0].setup is before
+    assert station.setup is before
     assert hub.calibrations.names == listed
     assert Calibrations(folder=tmp_path, library=library).names == [], "nor after a restart"
     assert folder.name in hub.notices[-1][2]
@@ -438,21 +442,21 @@ def test_what_is_not_used_is_used_nowhere(hub, tmp_path, library, presses, calib
 
 @pytest.mark.slow
 def test_after_the_report_more_presses_are_made_at_its_places(
-    hub, tmp_path, presses, calibration, monkeypatch
+    hub, station, tmp_path, presses, calibration, monkeypatch
 ):
     hub.folder = tmp_path
     monkeypatch.setattr("gelform.calibration.guide.calibrate", lambda *_, **__: calibration)
-    actions.guide_start(hub, 0, 5.0, "", 0.0)
+    actions.guide_start(hub, station, 5.0, "", 0.0)
     guide = hub.guides[0].guide
     until(lambda: guide.step == "press")
     with pytest.raises(GelformError, match="no report yet"):
-        actions.guide_more(hub, 0)
+        actions.guide_more(hub, station)
     guide.wanted = 0
     monkeypatch.setattr(guide, "presses", lambda: presses)
     guide.fit(hub.folder)
     count, marked = guide.count, guide.places
     assert marked == guide.made.places
-    actions.guide_more(hub, 0)
+    actions.guide_more(hub, station)
     assert (guide.step, guide.made, guide.places, guide.wanted) == (
         "press",
         None,
@@ -460,14 +464,14 @@ def test_after_the_report_more_presses_are_made_at_its_places(
         count + len(marked),
     )
     with pytest.raises(GelformError, match="Press Fit now first"):
-        actions.guide_use(hub, 0)
+        actions.guide_use(hub, station)
     until(lambda: guide.count > count)
     assert guide.facts()["accepted"][count][:2] == pytest.approx((marked[0].x_px, marked[0].y_px), abs=4)
 
 
-def test_a_fit_that_does_not_succeed_asks_for_more(hub, tmp_path):
+def test_a_fit_that_does_not_succeed_asks_for_more(hub, station, tmp_path):
     hub.folder = tmp_path
-    actions.guide_start(hub, 0, 5.0, "", 0.0)
+    actions.guide_start(hub, station, 5.0, "", 0.0)
     session = hub.guides[0]
     with pytest.raises(GelformError):
         session.guide.fit(hub.folder)

@@ -12,6 +12,7 @@ import gelform
 from gelform.calibration.guide import LEAST
 from gelform.calibration.starters import load_starter
 from gelform.live.start import Options, start
+from gelform.live.station import Setup
 from live_waiting import held, until
 
 pytestmark = pytest.mark.slow
@@ -28,9 +29,11 @@ def count(page):
     return page.evaluate("gelform.facts.guides[0]?.count ?? 0")
 
 
-def test_the_guide_leads_from_the_ball_to_a_calibration_in_use(visit, hub, tmp_path, library, picture):
+def test_the_guide_leads_from_the_ball_to_a_calibration_in_use(
+    visit, hub, station, tmp_path, library, picture
+):
     """The simulated sensor is pressed by the guide; what was made reads the depth of a press that it has not seen."""
-    hub.folder, station = tmp_path, hub.stations[0]
+    hub.folder, station = tmp_path, station
     page = visit()
     page.click("#tab-calibrate")
     page.fill("#ball", "5")
@@ -113,8 +116,8 @@ def test_one_button_gives_depth_and_a_banner_that_stays(visit, serving_of, start
     page.fill("#ball", "5")
     page.click("#guide-start")
     until(lambda: page.evaluate("gelform.facts.guides[0]?.step === 'press'"))
-    hub.end_guide(0)
-    hub.stations[0].setup = hub.stations[0].setup.with_calibration(calibration, "mine")
+    hub.end_guide(hub.stations[0])
+    hub.stations[0].setup = Setup(calibration, "mine")
     until(lambda: not page.is_visible("#starter"))
 
 

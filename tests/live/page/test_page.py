@@ -3,6 +3,7 @@
 The layout on a desktop and on a phone: legends, messages, reachable buttons; outdated figures are dimmed.
 """
 
+import math
 import os
 import threading
 from dataclasses import replace
@@ -15,7 +16,7 @@ import pytest
 import gelform
 from gelform.errors import SourceLostError
 from gelform.exchange.plots import save_picture
-from gelform.live.station import NEVER_S, Opening, Station
+from gelform.live.station import Opening, Setup, Station
 from gelform.sensors.films import open_film
 from gelform.sensors.recordings.player import Player
 from live_waiting import until
@@ -25,16 +26,16 @@ pytestmark = pytest.mark.slow
 AXE = Path(os.environ.get("GELFORM_AXE", "node_modules/axe-core/axe.min.js"))
 
 
-def held(page, hub):
+def held(page, station):
     """The picture held still: page and server show the same frame, which is given."""
     page.click("#pause")
-    until(lambda: hub.stations[0].paused)
-    until(lambda: page.evaluate("gelform.frame.header.serial") == hub.stations[0].newest.serial)
+    until(lambda: station.paused)
+    until(lambda: page.evaluate("gelform.frame.header.serial") == station.newest.serial)
     until(lambda: page.evaluate("gelform.panes.every((one) => one.frame === gelform.frame && one.said)"))
-    return hub.stations[0].newest.result
+    return station.newest.result
 
 
-def test_colors_profile_and_numbers_are_those_of_the_array(page, hub):
+def test_colors_profile_and_numbers_are_those_of_the_array(page, hub, station):
     colormaps = pytest.importorskip("matplotlib").colormaps
     depth = held(page, hub).depth_mm
     top = page.evaluate("gelform.settings.range")
@@ -46,7 +47,7 @@ def test_colors_profile_and_numbers_are_those_of_the_array(page, hub):
         found = page.evaluate(script, [int(x), int(y)])
         wanted = 255 * np.array(colormaps["viridis"](max(0.0, depth[y, x] / top)))[:3]
         np.testing.assert_allclose(found[:3], wanted, atol=12)
-    pitch = hub.stations[0].newest.result.mm_per_px
+    pitch = station.newest.result.mm_per_px
     normals = gelform.normals_from_gradients(gelform.gradients_from_depth(depth, mm_per_px=pitch))
     for y, x in ((row, column + 12), (row - 9, column), (0, 0)):
         found = page.evaluate(script.replace("panes[0]", "panes[2]"), [int(x), int(y)])
@@ -63,9 +64,9 @@ def test_colors_profile_and_numbers_are_those_of_the_array(page, hub):
 
 
 @pytest.fixture
-def blinded(hub, sensor):
+def blinded(station, sensor):
     """The sensor with a rectangle so bright that nothing is known of it."""
-    source = hub.stations[0].source
+    source = station.source
     seen = source.image_at
 
     def image_at(index):
@@ -74,7 +75,7 @@ def blinded(hub, sensor):
         return image
 
     source.image_at = image_at
-    until(lambda: not hub.stations[0].newest.result.known.all())
+    until(lambda: not station.newest.result.known.all())
 
 
 BLIND = np.s_[80:110, 20:60]
@@ -146,8 +147,7 @@ def test_the_surface_is_drawn_and_turns(page, hub, picture):
     until(lambda: np.abs(picture(page, "#surface").astype(int) - before).mean() > 1)
 
 
-def test_buttons_do_what_they_say(page, hub):
-    station = hub.stations[0]
+def test_buttons_do_what_they_say(page, station):
     page.click("#zero")
     until(lambda: station.setup.memory.zero is not None)
     until(lambda: page.inner_text("#zero") == "Undo zero")
@@ -177,7 +177,7 @@ def test_details_are_folded_until_they_are_asked_for(page):
     until(lambda: "capture to screen" in page.inner_text("#facts"))
 
 
-def test_the_numbers_are_of_the_frame_that_the_maps_show(visit, hub):
+def test_the_numbers_are_of_the_frame_that_the_maps_show(visit, station):
     """While the ball goes in and out, at every drawing."""
     page = visit()
     until(lambda: page.evaluate("gelform.frame?.header.peak !== undefined"), 30)
@@ -191,7 +191,7 @@ def test_the_numbers_are_of_the_frame_that_the_maps_show(visit, hub):
         };
         look();
     })"""
-    hub.stations[0].source.press_at(88, 66, 0.5)
+    station.source.press_at(88, 66, 0.5)
     seen = page.evaluate(script)
     assert len({serial for serial, *_ in seen}) > 5
     assert [said.startswith(peak) for _, peak, said in seen] == [True] * len(seen)
@@ -244,7 +244,7 @@ def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simu
         pytest.skip(f"no axe-core in {AXE}: npm install axe-core, or set GELFORM_AXE")
     for k, press in enumerate(simulated.presses[:2]):
         save_picture(tmp_path / f"{k}.png", press.image)
-    opening = Opening(lambda: Player(open_film(tmp_path)), NEVER_S)
+    opening = Opening(lambda: Player(open_film(tmp_path)), math.inf)
     hub.stations.append(Station(1, "second", opening, hub.changed))
     hub.stations[1].start()
     (tmp_path / "session.mcap").write_bytes(bytes(2000))
@@ -270,13 +270,12 @@ def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simu
         assert serious == []
 
 
-def test_a_gel_that_is_another_one_has_no_surface_and_no_figures(page, hub, calibration):
+def test_a_gel_that_is_another_one_has_no_surface_and_no_figures(page, station, calibration):
     """Neither the last surface that was known nor a flat one of 0.000 mm: a dash, and why."""
     other = replace(
         calibration, background=np.ascontiguousarray(calibration.background[::-1, ::-1, [2, 0, 1]])
     )
-    station = hub.stations[0]
-    station.setup = station.setup.with_calibration(other, "mine")
+    station.setup = Setup(other, "mine")
     until(lambda: "This frame cannot be reconstructed" in page.inner_text(".empty"))
     until(lambda: page.inner_text("#number-peak .value") == "–")
     until(lambda: page.inner_text("#profile-at") == "–")
@@ -360,8 +359,8 @@ def test_the_background_is_within_reach(sized):
         assert found["y"] + found["height"] <= sized.viewport_size["height"], "without scrolling"
 
 
-def test_figures_are_dimmed_while_there_are_no_new_ones(page, hub):
-    lost, source = threading.Event(), hub.stations[0].source
+def test_figures_are_dimmed_while_there_are_no_new_ones(page, station):
+    lost, source = threading.Event(), station.source
     seen = source.image_at
     back = threading.Event()
 

@@ -49,7 +49,7 @@ def recording(simulated, tmp_path):
 
 
 @pytest.fixture
-def replay(page, hub, recording, tmp_path):
+def replay(page, hub, station, recording, tmp_path):
     """The page on the recording, held."""
     hub.folder = tmp_path
     hub.recordings.add(recording)
@@ -58,21 +58,21 @@ def replay(page, hub, recording, tmp_path):
     until(lambda: page.is_visible("#replay"))
     until(lambda: page.evaluate("gelform.facts.stations[0].replay?.count") == COUNT)
     page.click("#step-back")  # holds, whether it plays or has just come to its end
-    until(lambda: not hub.stations[0].source.playing)
+    until(lambda: not station.source.playing)
     return page
 
 
-def test_a_pressed_frame_is_no_background(replay, hub):
+def test_a_pressed_frame_is_no_background(replay, station):
     replay.click("#background")
     until(lambda: "Something touches the gel" in replay.inner_text("#toasts"))
-    assert hub.stations[0].setup.background is None
+    assert station.setup.background is None
 
 
 def number(page):
     return page.evaluate("gelform.frame?.header.replay?.[0]")
 
 
-def test_it_is_scrubbed_stepped_played_and_looped(replay, hub, recording, calibration):
+def test_it_is_scrubbed_stepped_played_and_looped(replay, station, recording, calibration):
     seek = "(() => { const s = document.getElementById('scrub'); s.value = 4; s.dispatchEvent(new Event('input')) })()"
     replay.evaluate(seek)
     until(lambda: number(replay) == 4)
@@ -88,18 +88,18 @@ def test_it_is_scrubbed_stepped_played_and_looped(replay, hub, recording, calibr
     until(lambda: number(replay) == 4)
     replay.select_option("#speed", "8")
     replay.click("#loop")
-    until(lambda: hub.stations[0].source.facts()["loop"])
+    until(lambda: station.source.facts()["loop"])
     replay.click("#play")
-    until(lambda: hub.stations[0].source.playing)
+    until(lambda: station.source.playing)
     until(lambda: replay.inner_text("#play") == "Pause")
-    before = hub.stations[0].newest.serial
-    until(lambda: hub.stations[0].newest.serial > before + COUNT, 60)  # round the end
+    before = station.newest.serial
+    until(lambda: station.newest.serial > before + COUNT, 60)  # round the end
     replay.click("#play")
-    until(lambda: not hub.stations[0].source.playing)
+    until(lambda: not station.source.playing)
     until(lambda: replay.inner_text("#play") == "Play")
     replay.evaluate("document.activeElement.blur()")  # a focused button takes the space
     replay.keyboard.press(" ")
-    until(lambda: hub.stations[0].source.playing)
+    until(lambda: station.source.playing)
 
 
 def test_one_file_is_shared_and_downloaded(replay, calibration):
@@ -125,8 +125,8 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
 """
 
 
-def test_without_webgl_the_surface_is_a_shaded_relief(visit, hub, picture):
-    hub.stations[0].source.press_at(120, 60, 0.5, held_s=600)
+def test_without_webgl_the_surface_is_a_shaded_relief(visit, station, picture):
+    station.source.press_at(120, 60, 0.5, held_s=600)
     page = visit(before=NO_WEBGL)
     until(lambda: page.evaluate("gelform.frame?.header.peak > 0.4"))
     assert "no WebGL2" in page.evaluate("gelform.look.renderer")
@@ -142,9 +142,9 @@ WebGL2RenderingContext.prototype.getParameter = function (name) {
 """
 
 
-def test_with_a_graphics_processor_every_pixel_is_a_vertex_and_every_frame_is_drawn(visit, hub, picture):
+def test_with_a_graphics_processor_every_pixel_is_a_vertex_and_every_frame_is_drawn(visit, station, picture):
     """The processor computes it here too, under another name."""
-    hub.stations[0].source.press_at(120, 60, 0.5, held_s=600)
+    station.source.press_at(120, 60, 0.5, held_s=600)
     page = visit(before=GRAPHICS)
     until(lambda: page.evaluate("gelform.frame?.header.peak > 0.4"))
     assert page.evaluate("gelform.look.renderer") == "WebGL2"
@@ -190,7 +190,7 @@ def two(hub, sensor, calibration):
         return source
 
     station = Station(1, "right", opened, hub.changed)
-    station.setup = Setup().with_calibration(calibration, "mine")
+    station.setup = Setup(calibration, "mine")
     hub.stations.append(station)
     station.start()
     until(lambda: station.newest)
@@ -237,18 +237,18 @@ def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, picture):
 
 
 @pytest.mark.skipif(why_absent() is not None, reason=str(why_absent()))
-def test_a_camera_of_the_list_is_shown_from_the_page_and_left_again(hub, visit):
+def test_a_camera_of_the_list_is_shown_from_the_page_and_left_again(hub, station, visit):
     with FfmpegCamera() as camera:
         listed = [Camera("Bench camera", "/dev/video7", "S7")]
         hub.devices = Devices(hub.stations, lambda: listed, lambda *_: open_source(camera.url))
         page = visit()
         page.click("#devices button.show")
-        until(lambda: not hub.stations[0].facts()["simulated"])
+        until(lambda: not station.facts()["simulated"])
         until(lambda: "No calibration yet" in page.inner_text("#stages"))
         until(lambda: page.locator("#devices button.show").count() == 0)
         until(lambda: "none in the list has its serial" in page.inner_text("#toasts"))
         page.click("#devices-back")
-        until(lambda: hub.stations[0].facts()["simulated"])
+        until(lambda: station.facts()["simulated"])
         until(lambda: page.is_hidden("#devices-back"))
         until(lambda: page.evaluate("gelform.facts.stations[0].calibration") == "mine")
 
@@ -275,9 +275,8 @@ LETTERS = text_relief("gel", height_mm=5.0)
 STEPS = 8
 
 
-def touch(hub, step):
+def touch(station, step):
     """Hold the letters at a step of their way, and wait for it to be shown."""
-    station = hub.stations[0]
     source = station.source
     held = Touch(LETTERS, Pose(0.35, (0.2 * step - 1, 0.1 * step - 0.5), spin_deg=0.7 * step))
     source._levels_now = lambda _: source._levels_of_touch(held)
@@ -285,9 +284,9 @@ def touch(hub, step):
     until(lambda: station.newest.serial > before + 4)
 
 
-def test_words_for_a_motion_that_is_awaited_small_or_partly_unseen(visit, hub):
+def test_words_for_a_motion_that_is_awaited_small_or_partly_unseen(visit, station):
     """As the server sends it: nothing touches, a ball rolls where nothing shows it, and what rounds to zero has no sign."""
-    hub.stations[0].source.press_at(88, 66, 0.5, held_s=600)
+    station.source.press_at(88, 66, 0.5, held_s=600)
     page = visit()
     page.click("#motion-on")
     until(lambda: page.is_visible("#motion-card"))
@@ -295,8 +294,8 @@ def test_words_for_a_motion_that_is_awaited_small_or_partly_unseen(visit, hub):
         lambda: "cannot be seen" in page.inner_text("#motion-card") or "hardly" in page.inner_text("#motion"),
         20,
     )
-    hub.stations[0].source.lift()
-    hub.stations[0].source.rest()
+    station.source.lift()
+    station.source.rest()
     until(lambda: page.inner_text("#motion") == "Waiting for a touch.", 20)
     assert not page.is_visible("#motion-more")
     script = """motion => {
@@ -328,14 +327,14 @@ def test_words_for_a_motion_that_is_awaited_small_or_partly_unseen(visit, hub):
     assert page.inner_text("#motion-numbers") == "x 0.00 ± 0.01 mm, y 0.30 ± 0.01 mm, turn not known"
 
 
-def test_the_path_and_the_turn_of_letters(visit, hub):
+def test_the_path_and_the_turn_of_letters(visit, hub, station):
     touch(hub, 0)
     page = visit()
     until(lambda: page.evaluate("gelform.frame?.header.peak > 0.2"))
     assert page.evaluate("gelform.frame.header.motion") is None
     assert page.is_hidden("#motion-card")
     page.click("#motion-on")
-    until(lambda: hub.stations[0].moved is not None)
+    until(lambda: station.moved is not None)
     until(lambda: page.inner_text("#motion") == "The object has hardly moved.", 20)
     assert page.evaluate("gelform.frame.header.motion.shift_mm") is None
     for step in range(1, STEPS):
@@ -366,5 +365,5 @@ def test_the_path_and_the_turn_of_letters(visit, hub):
     np.testing.assert_allclose((max(columns), max(rows)), path.max(axis=0), atol=4)
     page.click("#pause")
     page.click("#motion-on")
-    until(lambda: hub.stations[0].moved is None)
+    until(lambda: station.moved is None)
     until(lambda: page.is_hidden("#motion-card"))

@@ -47,9 +47,8 @@ def test_each_of_several_contacts_has_its_place_size_and_edge(page):
 
 
 @pytest.fixture
-def still(page, hub):
+def still(page, station):
     """The page with the picture held, and the result that it shows."""
-    station = hub.stations[0]
     page.click("#pause")
     until(lambda: station.paused)
     # The one that was compared: where the picture was held while a frame came, that one is shown last.
@@ -103,8 +102,7 @@ def test_the_ruler_measures_between_two_points(page, still):
     until(lambda: page.is_hidden("#ruler"))
 
 
-def test_a_background_is_refused_while_something_touches_and_can_be_undone(page, hub, picture):
-    station = hub.stations[0]
+def test_a_background_is_refused_while_something_touches_and_can_be_undone(page, station, picture):
     page.click("#background")
     until(lambda: "Something touches the gel" in page.inner_text("#toasts"))
     assert station.setup.background is None
@@ -121,9 +119,8 @@ def test_a_background_is_refused_while_something_touches_and_can_be_undone(page,
     assert station.setup.background is None
 
 
-def test_curves_reach_back_for_minutes_and_keep_their_peaks(page, hub):
+def test_curves_reach_back_for_minutes_and_keep_their_peaks(page, station):
     """Numbers of five minutes come at once, and what is drawn of them has each part's largest and least."""
-    station = hub.stations[0]
     now_s = station.newest.frame.time_s
     before = [
         ((k + 1) / 10_000, now_s - 300 + k / 30, 0.9 if k == 4000 else 0.1, 1.0, 1.0) for k in range(8900)

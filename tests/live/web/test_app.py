@@ -120,10 +120,10 @@ def test_a_recording_with_an_odd_name_is_downloaded(serving, hub, tmp_path):
         assert client.get("/recordings/2").status_code == 404
 
 
-def test_the_report_of_a_guide_comes_with_a_policy_of_its_own(serving, hub, tmp_path):
+def test_the_report_of_a_guide_comes_with_a_policy_of_its_own(serving, hub, station, tmp_path):
     with httpx.Client(base_url=serving().url) as client:
         assert client.get("/reports/0").status_code == 404
-        actions.guide_start(hub, 0, 5.0, "", 0.0)
+        actions.guide_start(hub, station, 5.0, "", 0.0)
         assert client.get("/reports/0").status_code == 404
         (tmp_path / "report.html").write_text("<html>the report")
         hub.guides[0].guide.made = GuidedCalibration(None, tmp_path, {}, None, ())
@@ -209,10 +209,10 @@ def test_torn_and_oversized_requests_leave_the_server_alive(one_server):
         assert httpx.get(one_server.url + "/").status_code == 200, sent[:40]
 
 
-def test_a_snapshot_is_fetched_under_the_servers_own_name(serving, hub):
+def test_a_snapshot_is_fetched_under_the_servers_own_name(serving, hub, station):
     from gelform.live import actions
 
-    number = actions.snapshot(hub, 0)["number"]
+    number = actions.snapshot(hub, station)["number"]
     answer = httpx.get(f"{serving().url}/snapshots/{number}/frame.png")
     assert answer.content.startswith(b"\x89PNG")
     assert answer.headers["content-disposition"] == f'attachment; filename="gelform-{number:03d}-frame.png"'

@@ -25,13 +25,11 @@ from gelform.live.web.client import (
     MAX_BYTES,
     MAX_NUMBERS,
     MAX_OLDER,
-    Command,
     MessageError,
     done,
     parsed,
     thinned,
 )
-from gelform.live.web.client import station as number_of_station
 from gelform.sensors.simulated import SimulatedSource
 from gelform.sensors.source import open_source
 from live_waiting import until
@@ -134,35 +132,35 @@ def next_words(socket, kind, timeout=8):
     return next_of(socket, words, timeout)
 
 
-def test_a_frame_comes_for_each_credit_and_no_more(running, hub):
+def test_a_frame_comes_for_each_credit_and_no_more(running, station):
     with opened(running) as socket:
         say(socket, **WATCH)
         say(socket, do="credit")
         header, planes = next_frame(socket)
         assert header["station"] == 0
         assert set(planes) == {"depth", "flags"}
-        shown = hub.stations[0].newest
+        shown = station.newest
         assert len(planes["depth"]) == 2 * shown.result.depth.size
         with pytest.raises((TimeoutError, AssertionError)):
             next_frame(socket, 0.6)
 
 
-def test_what_was_missed_is_passed_over(running, hub):
+def test_what_was_missed_is_passed_over(running, station):
     with opened(running) as socket:
         say(socket, **WATCH)
         say(socket, do="credit")
         first = next_frame(socket)[0]["serial"]
-        until(lambda: hub.stations[0].newest.serial > first + 10)
+        until(lambda: station.newest.serial > first + 10)
         say(socket, do="credit")
         header, _ = next_frame(socket)
         assert header["serial"] > first + 9
         assert len(header["numbers"]) > 5  # but their numbers come, for the curves
 
 
-def test_depth_is_the_results(running, hub):
-    hub.stations[0].source.press_at(90, 60, 0.4, held_s=20)
-    until(lambda: hub.stations[0].newest.numbers.peak > 0.3)
-    hub.stations[0].paused = True
+def test_depth_is_the_results(running, station):
+    station.source.press_at(90, 60, 0.4, held_s=20)
+    until(lambda: station.newest.numbers.peak > 0.3)
+    station.paused = True
     time.sleep(0.3)
     with opened(running) as socket:
         say(socket, **WATCH)
@@ -171,7 +169,7 @@ def test_depth_is_the_results(running, hub):
     plane = next(one for one in header["planes"] if one["name"] == "depth")
     levels = np.frombuffer(planes["depth"], np.uint16).reshape(plane["height"], plane["width"])
     depth = (levels.astype(float) - plane["zero"]) * plane["step"]
-    np.testing.assert_allclose(depth, hub.stations[0].newest.result.depth, atol=0.51e-4)
+    np.testing.assert_allclose(depth, station.newest.result.depth, atol=0.51e-4)
 
 
 def test_older_numbers_are_thinned_to_their_deepest():
@@ -198,7 +196,7 @@ def test_the_state_comes_by_itself_and_answers_to_buttons(running):
         assert next_words(socket, "snapshot")["number"] == 1
 
 
-def test_a_stalled_client_costs_the_others_nothing(running, hub):
+def test_a_stalled_client_costs_the_others_nothing(running, station):
     with opened(running) as stalled, opened(running) as quick:
         for socket in (stalled, quick):
             say(socket, **{**WATCH, "planes": ["depth", "image", "confidence"]})
@@ -209,8 +207,8 @@ def test_a_stalled_client_costs_the_others_nothing(running, hub):
             say(quick, do="credit")
             serials.append(next_frame(quick)[0]["serial"])
         assert serials == sorted(set(serials))
-        assert hub.stations[0].rate_hz > 0
-        assert hub.stations[0].facts()["state"] == "running"
+        assert station.facts()["rate_hz"] > 0
+        assert station.facts()["state"] == "running"
 
 
 def test_clicks_at_a_held_sensor_cost_other_pages_nothing(running, hub, sensor):
@@ -238,8 +236,7 @@ def test_clicks_at_a_held_sensor_cost_other_pages_nothing(running, hub, sensor):
 
 
 def test_an_action_that_fails_as_nobody_expected_is_answered_and_logged(running, monkeypatch, caplog):
-    broken = Command(lambda hub, station: [][station], {"station": number_of_station})
-    monkeypatch.setitem(COMMANDS, "zero", broken)
+    monkeypatch.setitem(COMMANDS, "zero", (lambda hub, station: [][station.number], {}))
     with opened(running) as socket:
         say(socket, do="zero", station=0)
         assert "mistake in gelform, not yours: IndexError" in next_words(socket, "done")["problem"]
