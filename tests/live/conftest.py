@@ -29,7 +29,27 @@ def shown(press, result):
 
 
 @pytest.fixture
-def hub(sensor, calibration, library):
+def show():
+    """Starts a station on a source, in a hub of its own if none is given; returned once its first frame is shown."""
+    own, started = Hub(), []
+
+    def on(opening, hub=own, setup=None, watched=lambda: True, waits=True):
+        station = Station(len(hub.stations), "camera", opening, hub.changed, watched)
+        station.setup = setup or Setup()
+        hub.stations.append(station)
+        started.append(station)
+        station.start()
+        if waits:
+            until(lambda: station.newest)
+        return station
+
+    yield on
+    for station in started:
+        station.close()
+
+
+@pytest.fixture
+def hub(sensor, calibration, library, show):
     """A hub whose one station shows the simulated sensor at rest."""
     made = Hub(calibrations=Calibrations())
 
@@ -38,11 +58,7 @@ def hub(sensor, calibration, library):
         source.rest()
         return source
 
-    station = Station(0, "simulated", opened, made.changed)
-    station.setup = Setup(calibration, made.calibrations.add("mine", calibration))
-    made.stations.append(station)
-    station.start()
-    until(lambda: station.newest)
+    show(opened, made, Setup(calibration, made.calibrations.add("mine", calibration)))
     yield made
     made.close()
 
