@@ -20,23 +20,21 @@ from gelform.image.frame import Frame
 from gelform.live import actions
 from gelform.live.hub import GRACE_S, Hub, Pages, page_named, sentence_for_page
 from gelform.live.start import Options, start
-from gelform.live.station import Setup, Station
+from gelform.live.station import Setup
 from gelform.live.web.client import done
 from gelform.sensors.films import open_film
 from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.record import attached_calibration
-from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.simulate import Ball, simulate_background, simulate_press
 from live_waiting import until
-from made.sources import ImageSource
+from made.sources import ImageSource, recorded
 
 
 def test_the_background_is_the_sensors(hub, station, sensor):
     actions.take_background(hub, station)
     taken = station.setup.background
-    assert (
-        np.abs(taken - simulate_background(sensor, None)).mean() < 0.6
-    )  # noise of 2 levels, averaged over 15
+    noise = np.abs(taken - simulate_background(sensor, None)).mean()
+    assert noise < 0.6  # of 2 levels, averaged over 15
     assert "Background taken: the average of 15 frames" in hub.notices[-1][2]
     actions.take_background(hub, station)
     assert station.facts()["can_undo"]
@@ -88,18 +86,16 @@ def test_the_motion_is_followed_while_it_is_asked_for_and_seen(hub, station, mon
     assert not station.facts()["motion"]
 
 
-def test_a_press_is_where_it_was_asked_for(hub, station, result):
+def test_a_press_is_where_it_was_asked_for(hub, station):
     actions.press(hub, station, 120.0, 40.0)
-    deep = until(lambda: station.newest if station.newest.numbers.peak > 0.35 else None)
-    assert abs(deep.numbers.x_px - 120) < 4
-    assert abs(deep.numbers.y_px - 40) < 4
+    deep = until(lambda: station.newest if station.newest.numbers.peak > 0.35 else None).numbers
+    assert (deep.x_px, deep.y_px) == pytest.approx((120, 40), abs=4)
 
 
 def test_solver_and_calibration(hub, station, calibration):
     actions.use_solver(hub, station, "dct")
     until(lambda: station.newest.result.solver == "dct")
-    name = hub.calibrations.add("again", calibration)
-    actions.use_calibration(hub, station, name)
+    actions.use_calibration(hub, station, hub.calibrations.add("again", calibration))
     assert station.setup.name == "again"
 
 
@@ -124,12 +120,18 @@ def test_what_is_not_listed_or_known_is_refused(hub, station):
 def replayed(hub, station, forms, tmp_path):
     """The hub's station on the recording, held at frame 2."""
     hub.folder = tmp_path
-    actions.open_recording(hub, station, hub.recordings.add(forms["mcap"]))
-    until(lambda: station.facts()["replay"])
-    station.player.play(False)
-    station.player.seek(2)
-    until(lambda: number_shown(station) == 2)
+    open_held(hub, forms["mcap"], 7, 2)
     return hub
+
+
+def open_held(hub, path, count, number):
+    """Show a recording of so many frames, held at one of them."""
+    (station,) = hub.stations
+    actions.open_recording(hub, station, hub.recordings.add(path))
+    until(lambda: (replay := station.facts()["replay"]) and replay["count"] == count)
+    station.player.play(False)
+    station.player.seek(number)
+    until(lambda: number_shown(station) == number)
 
 
 def number_shown(station):
@@ -160,19 +162,16 @@ def test_zero_is_of_the_held_frame_and_a_pressed_one_is_no_background(replayed, 
 
 
 def test_a_background_from_a_held_frame_is_said_to_be_of_one(replayed, station, sensor, tmp_path):
-    rng = np.random.default_rng(2)
-    rest = McapRecording(tmp_path / "rest.mcap", RecordingFacts("ring", None, {}, 25.0))
-    for k in range(3):
-        rest.write(Frame(np.asarray(simulate_background(sensor, rng)), k / 25, 10**18 + k, k))
-    rest.close()
-    actions.open_recording(replayed, station, replayed.recordings.add(tmp_path / "rest.mcap"))
-    until(lambda: (facts := station.facts()["replay"]) and facts["count"] == 3)
-    station.player.play(False)
-    station.player.seek(1)  # the other recording was held at frame 2
-    until(lambda: number_shown(station) == 1)
+    rest = recorded(tmp_path / "rest.mcap", frames_of([simulate_background(sensor, None)] * 3))
+    open_held(replayed, rest, 3, 1)  # the other recording was held at frame 2
     actions.take_background(replayed, station)
     assert "Background taken from one frame" in replayed.notices[-1][2]
     assert station.setup.background is not None
+
+
+def frames_of(images):
+    """Frames at 25 per second."""
+    return [Frame(np.asarray(one), k / 25, 10**18 + k, k) for k, one in enumerate(images)]
 
 
 def test_play_speed_loop_and_back_to_the_sensor(replayed, station):
@@ -218,8 +217,7 @@ def test_what_the_page_recorded_is_kept_as_it_came_with_the_calibration(hub, sta
     assert not hub.recorders
     assert recorder.path.name in hub.notices[-1][2]
     assert list(tmp_path.iterdir()) == [recorder.path]
-    with gelform.open_source(recorder.path) as source:
-        frames = list(source)
+    frames = list(gelform.open_source(recorder.path))
     assert len(frames) == recorder.stats.frames
     assert [frame.index for frame in frames] == sorted({frame.index for frame in frames})
     assert frames[0].image.shape == station.newest.frame.image.shape
@@ -244,8 +242,7 @@ def test_it_ends_with_the_page_that_began_it(hub, station, tmp_path, monkeypatch
     assert "the page that began it was closed" in hub.notices[-1][2]
     assert hub.notices[-1][1] == "warning"
     assert [one["name"] for one in hub.recordings.facts()] == [recorder.path.name]
-    with gelform.open_source(recorder.path) as source:
-        assert len(list(source)) == recorder.stats.frames
+    assert len(list(gelform.open_source(recorder.path))) == recorder.stats.frames
 
 
 def test_a_ball_of_no_size_is_refused_and_without_a_guide_there_is_nothing_to_fit(hub, station):
@@ -266,32 +263,21 @@ def test_the_simulated_sensor_knows_its_scale(hub, station, sensor):
     assert len(station.taps) == 1
 
 
-PLACES_MM = [(-5.0, -3.0), (5.0, 3.0), (0.0, 0.0), (-5.0, 3.5), (5.0, -3.5), (0.0, 4.0)]
+PLACES_MM = np.array([(-5.0, -3.0), (5.0, 3.0), (0.0, 0.0), (-5.0, 3.5), (5.0, -3.5), (0.0, 4.0)])
 HELD, LIFTED, UNTOUCHED = 14, 8, 40  # frames at 25 a second
 
 
 @pytest.fixture
 def filmed(sensor, tmp_path):
     """A recording of six presses of a ball, each held for half a second, after the untouched gel."""
-    rng = np.random.default_rng(7)
-    rest = simulate_background(sensor, None).astype(np.float64)
-    recording = McapRecording(tmp_path / "filmed.mcap", RecordingFacts("ring", None, {}, 25.0))
-    count = 0
-
-    def film(image, frames):
-        nonlocal count
-        for _ in range(frames):
-            noisy = np.clip(image + rng.normal(0, sensor.noise_sd, image.shape), 0, 255).astype(np.uint8)
-            recording.write(Frame(noisy, count / 25, 10**18 + count, count))
-            count += 1
-
-    film(rest, UNTOUCHED)
+    rng, rest = np.random.default_rng(7), simulate_background(sensor, None)
+    images = [rest] * UNTOUCHED
     for place in PLACES_MM:
         press = simulate_press(sensor, Ball(2.5), depth_mm=0.45, center_mm=place, rng=None, oversample=1)
-        film(press.image.astype(np.float64), HELD)
-        film(rest, LIFTED)
-    recording.close()
-    return tmp_path / "filmed.mcap"
+        images += [press.image] * HELD + [rest] * LIFTED
+    noisy = [one + rng.normal(0, sensor.noise_sd, one.shape) for one in images]
+    filmed = frames_of([np.clip(one, 0, 255).astype(np.uint8) for one in noisy])
+    return recorded(tmp_path / "filmed.mcap", filmed, RecordingFacts("ring", None, {}, 25.0))
 
 
 @pytest.mark.slow
@@ -309,11 +295,8 @@ def test_a_recording_is_calibrated_from_start_to_end(hub, station, filmed, senso
         station.player.seek(number)
         until(lambda number=number: number_shown(station) == number)
     assert guide.count >= 5, guide.facts()["rejected"]
-    mm = [
-        ((x - 87.5) * sensor.mm_per_px, (y - 65.5) * sensor.mm_per_px)
-        for x, y, _ in guide.facts()["accepted"]
-    ]
-    assert all(min(np.hypot(x - px, y - py) for px, py in PLACES_MM) < 0.4 for x, y in mm)
+    mm = np.array([(x - 87.5, y - 65.5) for x, y, _ in guide.facts()["accepted"]]) * sensor.mm_per_px
+    assert all(np.hypot(*(PLACES_MM - one).T).min() < 0.4 for one in mm)
     said = []
     guide.fit(tmp_path, lambda done, total, what: said.append(what))
     assert guide.step == "report"
@@ -321,18 +304,17 @@ def test_a_recording_is_calibrated_from_start_to_end(hub, station, filmed, senso
     actions.guide_use(hub, station)
     assert station.setup.name.startswith("ring_no-serial_")
     station.player.seek(UNTOUCHED + HELD // 2)
-    deep = until(lambda: (s := station.newest) and s.numbers and s.numbers.peak > 0.3 and s.numbers)
+    deep = until(lambda: (numbers := station.newest.numbers) and numbers.peak > 0.3 and numbers)
     assert deep.peak == pytest.approx(0.45, abs=0.12)
 
 
-def test_facts_can_be_sent_as_json(hub):
+def test_facts_can_be_sent_as_json_and_a_notice_is_one_line(hub):
     facts = json.loads(json.dumps(hub.facts(), allow_nan=False))
     assert facts["stations"][0]["state"] == "running"
     assert facts["calibrations"] == ["mine"]
     assert "auto" in facts["solvers"]
     hub.notice("first\nline")
-    facts = hub.facts()
-    assert facts["notices"] == [[1, "info", "first line"]]
+    assert hub.facts()["notices"] == [[1, "info", "first line"]]
     assert hub.facts(notices_after=1)["notices"] == []
 
 
@@ -395,77 +377,57 @@ def test_frames_that_do_not_come_are_an_error(station):
     assert time.monotonic() - began_s < 15
 
 
-def test_a_sensor_that_was_unplugged_is_named_at_once(hub):
+def test_a_sensor_that_was_unplugged_is_named_at_once(show):
     """Also while its frames are awaited."""
-    images = [np.full((48, 64, 3), 90, np.uint8)]
     gone = threading.Event()
 
     def opened():
         if gone.is_set():
             raise SensorError("No camera.")
-        return ImageSource(images, count=20, fails=SourceLostError("It was unplugged."))
+        image = np.full((48, 64, 3), 90, np.uint8)
+        return ImageSource([image], count=20, fails=SourceLostError("It was unplugged."))
 
-    station = Station(1, "camera", opened, hub.changed)
-    hub.stations.append(station)
-    station.start()
-    try:
-        until(lambda: station.newest)
-        gone.set()
-        for _ in range(2):
-            with pytest.raises(GelformError, match=r"gives no frames: (It was unplugged|No camera)"):
-                station.next_frames(5000)
-    finally:
-        station.close()
+    station = show(opened)
+    gone.set()
+    for _ in range(2):
+        with pytest.raises(GelformError, match=r"gives no frames: (It was unplugged|No camera)"):
+            station.next_frames(5000)
 
 
-def test_one_action_at_a_time_changes_a_sensor(hub):
-    with hub.turn(0), pytest.raises(GelformError, match="This sensor is busy"), hub.turn(0):
-        pass
-    with hub.turn(0), pytest.raises(GelformError, match="no sensor 1"), hub.turn(1):
-        pass
-
-
-def test_there_is_no_station_of_another_number(hub):
-    for number in (-1, 1):
-        with pytest.raises(GelformError):
-            hub.turn(number).__enter__()
-
-
-class Clock:
-    now_s = 100.0
-
-    def __call__(self):
-        return self.now_s
+def test_one_action_at_a_time_changes_a_sensor_that_is_there(hub):
+    for number, said in ((0, "This sensor is busy"), (1, "no sensor 1"), (-1, "no sensor -1")):
+        with hub.turn(0), pytest.raises(GelformError, match=said), hub.turn(number):
+            pass
 
 
 def test_a_page_is_open_until_it_has_been_away_for_a_while():
-    clock = Clock()
-    pages = Pages(clock)
+    now_s = 100.0
+    pages = Pages(lambda: now_s)
     assert not pages.is_open("page-one")
     pages.came("page-one")
-    clock.now_s += 1000
+    now_s += 1000
     assert pages.is_open("page-one")
     assert pages.any_connected
     pages.left("page-one")
     assert not pages.any_connected
-    clock.now_s += GRACE_S - 0.1
+    now_s += GRACE_S - 0.1
     assert pages.is_open("page-one")
-    clock.now_s += 0.2
+    now_s += 0.2
     assert not pages.is_open("page-one")
 
 
 def test_a_page_that_was_loaded_anew_never_was_away():
-    clock = Clock()
-    pages = Pages(clock)
+    now_s = 100.0
+    pages = Pages(lambda: now_s)
     pages.came("page-one")
     pages.came("page-one")  # the new connection may come before the old one's end is heard of
     pages.left("page-one")
-    clock.now_s += 1000
+    now_s += 1000
     assert pages.is_open("page-one")
     pages.left("page-one")
-    clock.now_s += 1
+    now_s += 1
     pages.came("page-one")
-    clock.now_s += 1000
+    now_s += 1000
     assert pages.is_open("page-one")
 
 
