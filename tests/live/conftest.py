@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 
 import pytest
+from websockets.sync.client import connect
 
 from gelform.image.frame import Frame
 from gelform.live.hub import Hub
@@ -80,6 +81,18 @@ class Running:
         self._thread = threading.Thread(target=self.server.run, args=(self.uvicorn,), daemon=True)
         self._thread.start()
         until(lambda: self.uvicorn.started)
+
+    def opened(self, **headers):
+        """A websocket as a page opens it, from the server's own origin by default."""
+        return connect(
+            f"ws://{self.address}/ws",
+            origin=headers.pop("origin", self.url),
+            additional_headers=headers,
+            compression=None,
+            max_size=None,
+            close_timeout=1,
+            proxy=None,
+        )
 
     def close(self):
         self.uvicorn.should_exit = True
