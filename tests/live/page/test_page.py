@@ -16,7 +16,7 @@ import pytest
 import gelform
 from gelform.errors import SourceLostError
 from gelform.exchange.plots import save_picture
-from gelform.live.station import Opening, Setup, Station
+from gelform.live.station import Opening, Setup
 from gelform.sensors.films import open_film
 from gelform.sensors.recordings.player import Player
 from live_waiting import until
@@ -27,7 +27,7 @@ AXE = Path(os.environ.get("GELFORM_AXE", "node_modules/axe-core/axe.min.js"))
 
 
 def held(page, station):
-    """The picture held still: page and server show the same frame, which is given."""
+    """The picture held still: page and server show the same frame, whose result is given."""
     page.click("#pause")
     until(lambda: station.paused)
     until(lambda: page.evaluate("gelform.frame.header.serial") == station.newest.serial)
@@ -35,23 +35,26 @@ def held(page, station):
     return station.newest.result
 
 
-def test_colors_profile_and_numbers_are_those_of_the_array(page, hub, station):
+def pixels(page, pane, x, y, width=1, height=1):
+    """RGB (N, 3) of a part of the map that a pane draws."""
+    script = """([pane, ...part]) => {
+        const context = gelform.panes[pane].painting.canvas.getContext("2d");
+        return [...context.getImageData(...part).data];
+    }"""
+    return np.array(page.evaluate(script, [pane, int(x), int(y), width, height])).reshape(-1, 4)[:, :3]
+
+
+def test_colors_profile_and_numbers_are_those_of_the_array(page, station):
     colormaps = pytest.importorskip("matplotlib").colormaps
-    depth = held(page, hub).depth_mm
-    top = page.evaluate("gelform.settings.range")
+    result = held(page, station)
+    depth, top = result.depth_mm, page.evaluate("gelform.settings.range")
     row, column = np.unravel_index(depth.argmax(), depth.shape)
     for y, x in ((row, column), (row, column + 12), (5, 5)):
-        script = (
-            "([x, y]) => [...gelform.panes[0].painting.canvas.getContext('2d').getImageData(x, y, 1, 1).data]"
-        )
-        found = page.evaluate(script, [int(x), int(y)])
         wanted = 255 * np.array(colormaps["viridis"](max(0.0, depth[y, x] / top)))[:3]
-        np.testing.assert_allclose(found[:3], wanted, atol=12)
-    pitch = station.newest.result.mm_per_px
-    normals = gelform.normals_from_gradients(gelform.gradients_from_depth(depth, mm_per_px=pitch))
+        np.testing.assert_allclose(pixels(page, 0, x, y)[0], wanted, atol=12)
+    normals = gelform.normals_from_gradients(gelform.gradients_from_depth(depth, mm_per_px=result.mm_per_px))
     for y, x in ((row, column + 12), (row - 9, column), (0, 0)):
-        found = page.evaluate(script.replace("panes[0]", "panes[2]"), [int(x), int(y)])
-        np.testing.assert_allclose(found[:3], 127.5 + 127.5 * normals[y, x], atol=2)
+        np.testing.assert_allclose(pixels(page, 2, x, y)[0], 127.5 + 127.5 * normals[y, x], atol=2)
     script = """([x, y]) => import('/js/maps/charts.js').then((module) => {
         const { alongX, alongY } = module.profilesThrough(gelform.frame, [x, y]);
         return [[...alongX], [...alongY]];
@@ -81,22 +84,21 @@ def blinded(station, sensor):
 BLIND = np.s_[80:110, 20:60]
 
 
-def test_what_is_not_known_is_hatched_and_never_a_depth(page, hub, blinded, picture):
+def test_what_is_not_known_is_hatched_and_never_a_depth(page, station, blinded, picture):
     """On maps, in the profile and on the surface, though the solver filled it in."""
     until(lambda: page.evaluate("gelform.frame.has('unknown')"))
-    known = held(page, hub).known
+    known = held(page, station).known
     assert not known[90:100, 30:50].any()
-    script = "() => [...gelform.panes[0].painting.canvas.getContext('2d').getImageData(30, 90, 20, 10).data]"
+    swatches = page.locator(".pane >> nth=0 >> .swatch")
 
     def is_hatched():
-        pixels = np.array(page.evaluate(script)).reshape(-1, 4)
-        return {tuple(rgb) for rgb in pixels[:, :3].tolist()} == {(138, 148, 153), (93, 103, 108)}
+        grays = {(138, 148, 153), (93, 103, 108)}
+        return set(map(tuple, pixels(page, 0, 30, 90, 20, 10).tolist())) == grays
 
     for view, unknown in (("depth", True), ("image", False), ("normals", True)):  # each unlike the one before
         page.select_option(".pane select >> nth=0", view)
         until(lambda unknown=unknown: is_hatched() is unknown)
-        swatches = page.locator(".pane >> nth=0 >> .swatch")
-        until(lambda count=int(unknown), swatches=swatches: swatches.count() == count)
+        until(lambda count=int(unknown): swatches.count() == count)
     script = """() => import('/js/maps/charts.js').then(({ profilesThrough }) => {
         const { alongX, depth } = profilesThrough(gelform.frame, [40, 95]);
         return [alongX.map(Number.isNaN), Number.isNaN(depth)];
@@ -109,14 +111,13 @@ def test_what_is_not_known_is_hatched_and_never_a_depth(page, hub, blinded, pict
     page.evaluate("gelform.frame.planes.unknown.values.fill(0)")
     page.evaluate("gelform.surface.orbit.changed()")
 
-    def changed_pixels():
-        return np.abs(shown - picture(page, "#surface").astype(int)).max(axis=-1) > 20
+    def changed(filled):
+        return np.abs(shown - filled).max(axis=-1) > 20
 
-    until(lambda: changed_pixels().sum() > 500)
-    filled = picture(page, "#surface").astype(int)
-    changed = np.abs(shown - filled).max(axis=-1) > 20
-    spread = np.ptp(shown[changed], axis=-1)  # gray: channels alike
-    assert np.median(spread) < 12 < np.median(np.ptp(filled[changed], axis=-1))
+    until(lambda: changed(picture(page, "#surface")).sum() > 500)
+    filled = picture(page, "#surface")
+    of_hatch, of_depth = (np.median(np.ptp(one[changed(filled)], axis=-1)) for one in (shown, filled))
+    assert of_hatch < 12 < of_depth  # gray: channels alike
 
 
 def test_the_surface_wears_the_confidence_whatever_the_panes_show(page, hub, blinded, picture):
@@ -128,8 +129,8 @@ def test_the_surface_wears_the_confidence_whatever_the_panes_show(page, hub, bli
     yellow = np.array([37, 231, 253])  # BGR of 1, of which the most part is; lit, it keeps its hue
 
     def yellow_pixels():
-        pixels = picture(page, "#surface").astype(float)
-        bright = pixels / np.maximum(pixels.max(axis=-1, keepdims=True), 1)
+        bright = picture(page, "#surface").astype(float)
+        bright /= np.maximum(bright.max(axis=-1, keepdims=True), 1)
         return int((np.abs(bright - yellow / 253).max(axis=-1) < 0.15).sum())
 
     until(lambda: yellow_pixels() > 10_000)
@@ -137,9 +138,9 @@ def test_the_surface_wears_the_confidence_whatever_the_panes_show(page, hub, bli
     until(lambda: yellow_pixels() < 1_000)
 
 
-def test_the_surface_is_drawn_and_turns(page, hub, picture):
-    held(page, hub)
-    until(lambda: len(np.unique(picture(page, "#surface").reshape(-1, 3) // 16, axis=0)) > 20)
+def test_the_surface_is_drawn_and_turns(page, station, picture, is_drawn):
+    held(page, station)
+    until(lambda: is_drawn(page))
     before = picture(page, "#surface")
     page.focus("#surface")
     for _ in range(4):
@@ -221,14 +222,6 @@ def test_a_recording_ends_with_its_tab_but_not_when_it_is_loaded_anew(visit, hub
     assert len(list(tmp_path.glob("recording-*"))) == 1
 
 
-def test_on_a_phone_nothing_is_wider_than_the_screen(page):
-    page.set_viewport_size({"width": 390, "height": 844})
-    until(lambda: page.evaluate("gelform.panes[0].shown.width < 390"))
-    wide = "[...document.querySelectorAll('main *')].filter(one => one.getBoundingClientRect().right > 391).length"
-    until(lambda: page.evaluate(wide) == 0)
-    page.set_viewport_size({"width": 1100, "height": 900})
-
-
 def test_a_lost_connection_is_said_and_comes_back(page):
     page.evaluate("gelform.connection.socket.close()")
     serial = page.evaluate("gelform.frame.header.serial")
@@ -238,15 +231,13 @@ def test_a_lost_connection_is_said_and_comes_back(page):
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simulated, tmp_path):
+def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simulated, tmp_path, show):
     """With all that the page can show: two sensors, a recording that is held, the ruler, a message, the guide."""
     if not AXE.is_file():
         pytest.skip(f"no axe-core in {AXE}: npm install axe-core, or set GELFORM_AXE")
     for k, press in enumerate(simulated.presses[:2]):
         save_picture(tmp_path / f"{k}.png", press.image)
-    opening = Opening(lambda: Player(open_film(tmp_path)), math.inf)
-    hub.stations.append(Station(1, "second", opening, hub.changed))
-    hub.stations[1].start()
+    show(Opening(lambda: Player(open_film(tmp_path)), math.inf), hub)
     (tmp_path / "session.mcap").write_bytes(bytes(2000))
     hub.recordings.add(tmp_path)
     hub.recordings.add(tmp_path / "session.mcap")
@@ -272,9 +263,8 @@ def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simu
 
 def test_a_gel_that_is_another_one_has_no_surface_and_no_figures(page, station, calibration):
     """Neither the last surface that was known nor a flat one of 0.000 mm: a dash, and why."""
-    other = replace(
-        calibration, background=np.ascontiguousarray(calibration.background[::-1, ::-1, [2, 0, 1]])
-    )
+    background = np.ascontiguousarray(calibration.background[::-1, ::-1, [2, 0, 1]])
+    other = replace(calibration, background=background)
     station.setup = Setup(other, "mine")
     until(lambda: "This frame cannot be reconstructed" in page.inner_text(".empty"))
     until(lambda: page.inner_text("#number-peak .value") == "–")
@@ -284,20 +274,16 @@ def test_a_gel_that_is_another_one_has_no_surface_and_no_figures(page, station, 
     until(lambda: not page.evaluate("gelform.frame.has('depth')"))
 
 
-DESK, PHONE = {"width": 1400, "height": 900}, {"width": 390, "height": 844}
+SIZES = {"desk": {"width": 1400, "height": 900}, "phone": {"width": 390, "height": 844}}
 
 
-@pytest.fixture(params=[DESK, PHONE], ids=["desk", "phone"])
+@pytest.fixture(params=SIZES.values(), ids=SIZES)
 def sized(page, request):
     """The page at a size, which it has been laid out for."""
     page.set_viewport_size(request.param)
     until(lambda: page.evaluate("document.documentElement.clientWidth") == request.param["width"])
-    until(
-        lambda: (
-            abs(box(page, "#panes")["width"] - page.evaluate("gelform.panes[0].node.parentNode.clientWidth"))
-            < 1
-        )
-    )
+    script = "gelform.panes[0].node.parentNode.clientWidth"
+    until(lambda: abs(box(page, "#panes")["width"] - page.evaluate(script)) < 1)
     yield page
     page.set_viewport_size({"width": 1100, "height": 900})
 
@@ -328,6 +314,14 @@ def test_the_legend_of_why_pixels_are_not_trusted_stays_in_its_pane(sized):
 NEEDED = "#theme, #help, .tabs button, #status, main button, main select, main input, main canvas"
 
 
+def are_apart(one, other):
+    return any(
+        b[at] >= a[at] + a[size]
+        for a, b in ((one, other), (other, one))
+        for at, size in (("x", "width"), ("y", "height"))
+    )
+
+
 def test_messages_cover_nothing_have_a_cross_and_go(sized, hub):
     hub.notice("The disk is almost full. " * 5, "error")
     hub.notice("Zero set: depth is relative to the last frames.")
@@ -339,41 +333,33 @@ def test_messages_cover_nothing_have_a_cross_and_go(sized, hub):
         .map((one) => one.getBoundingClientRect()).map(({{ x, y, width, height }}) => ({{ x, y, width, height }}))"""
     for one in sized.evaluate(script):
         for toast in toasts:
-            apart = (
-                one["x"] >= toast["x"] + toast["width"]
-                or toast["x"] >= one["x"] + one["width"]
-                or one["y"] >= toast["y"] + toast["height"]
-                or toast["y"] >= one["y"] + one["height"]
-            )
-            assert apart, (one, toast)
+            assert are_apart(one, toast), (one, toast)
     sized.get_by_role("button", name="Dismiss").first.focus()
     sized.keyboard.press("Enter")
     until(lambda: sized.locator(".toast").count() == 1)
     until(lambda: sized.locator(".toast").count() == 0, 25)  # by itself
 
 
-def test_the_background_is_within_reach(sized):
+def test_nothing_is_wider_than_the_screen_and_the_background_is_within_reach(sized):
+    width, height = sized.viewport_size["width"], sized.viewport_size["height"]
+    wide = f"[...document.querySelectorAll('main *')].filter(one => one.getBoundingClientRect().right > {width + 1})"
+    until(lambda: sized.evaluate(f"{wide}.length") == 0)
     for button in ("#background", "#zero"):
         found = box(sized, button)
         assert found["height"] >= 30
-        assert found["y"] + found["height"] <= sized.viewport_size["height"], "without scrolling"
+        assert found["y"] + found["height"] <= height, "without scrolling"
 
 
 def test_figures_are_dimmed_while_there_are_no_new_ones(page, station):
-    lost, source = threading.Event(), station.source
-    seen = source.image_at
     back = threading.Event()
 
-    def image_at(index):
-        if lost.is_set():
-            back.wait(60)
-            raise SourceLostError("The camera was unplugged.")
-        return seen(index)
+    def image_at(_):
+        back.wait(60)
+        raise SourceLostError("The camera was unplugged.")
 
-    source.image_at = image_at
     opacity = "getComputedStyle(document.querySelector('#number-peak .value')).opacity"
     until(lambda: page.evaluate(opacity) == "1")
-    lost.set()
+    station.source.image_at = image_at
     until(lambda: page.inner_text("#status").startswith("reconnecting"))
     until(lambda: float(page.evaluate(opacity)) < 0.5)
     for place in (".pane .map", "#surface"):

@@ -17,18 +17,20 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.errors import SensorError
+from gelform.image.frame import Frame
 from gelform.live.hub import Hub
 from gelform.live.lists import Devices
-from gelform.live.station import Setup, Station
+from gelform.live.station import Setup
 from gelform.sensors.cameras import Camera
 from gelform.sensors.films import open_film
 from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.record import attached_calibration
-from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.simulated import SimulatedSource, Touch
 from gelform.sensors.source import open_source
 from gelform.simulate import Pose, text_relief
 from live_waiting import until
+from made.sources import recorded
 from stream.ffmpeg_camera import FfmpegCamera, why_absent
 
 pytestmark = pytest.mark.slow
@@ -39,13 +41,9 @@ COUNT = 9
 @pytest.fixture
 def recording(simulated, tmp_path):
     """A recording of nine presses."""
-    from gelform.image.frame import Frame
-
-    written = McapRecording(tmp_path / "session.mcap", RecordingFacts("ring", "S7", {}, 10.0))
-    for k, press in enumerate(simulated.presses[:COUNT]):
-        written.write(Frame(press.image, k / 10, 10**18 + k, k))
-    written.close()
-    return tmp_path / "session.mcap"
+    images = [press.image for press in simulated.presses[:COUNT]]
+    frames = [Frame(image, k / 10, 10**18 + k, k) for k, image in enumerate(images)]
+    return recorded(tmp_path / "session.mcap", frames, RecordingFacts("ring", "S7", {}, 10.0))
 
 
 @pytest.fixture
@@ -125,12 +123,23 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
 """
 
 
-def test_without_webgl_the_surface_is_a_shaded_relief(visit, station, picture):
-    station.source.press_at(120, 60, 0.5, held_s=600)
-    page = visit(before=NO_WEBGL)
-    until(lambda: page.evaluate("gelform.frame?.header.peak > 0.4"))
+@pytest.fixture
+def visit_pressed(visit, station):
+    """Opens the page with the ball pressed; `before` is a script that runs in it first."""
+
+    def go(before):
+        station.source.press_at(120, 60, 0.5, held_s=600)
+        page = visit(before=before)
+        until(lambda: page.evaluate("gelform.frame?.header.peak > 0.4"))
+        return page
+
+    return go
+
+
+def test_without_webgl_the_surface_is_a_shaded_relief(visit_pressed, is_drawn):
+    page = visit_pressed(NO_WEBGL)
     assert "no WebGL2" in page.evaluate("gelform.look.renderer")
-    until(lambda: len(np.unique(picture(page, "#surface").reshape(-1, 3) // 16, axis=0)) > 20)
+    until(lambda: is_drawn(page))
     page.click("#reset-view")  # does nothing there, without an error
 
 
@@ -142,20 +151,15 @@ WebGL2RenderingContext.prototype.getParameter = function (name) {
 """
 
 
-def test_with_a_graphics_processor_every_pixel_is_a_vertex_and_every_frame_is_drawn(visit, station, picture):
+def test_with_a_graphics_processor_every_pixel_is_a_vertex_and_every_frame_is_drawn(visit_pressed, is_drawn):
     """The processor computes it here too, under another name."""
-    station.source.press_at(120, 60, 0.5, held_s=600)
-    page = visit(before=GRAPHICS)
-    until(lambda: page.evaluate("gelform.frame?.header.peak > 0.4"))
+    page = visit_pressed(GRAPHICS)
     assert page.evaluate("gelform.look.renderer") == "WebGL2"
     assert page.evaluate("gelform.connection.ahead") == 2
     until(lambda: page.evaluate("gelform.surface.grid") == [176, 132])
-    until(
-        lambda: page.evaluate(
-            "gelform.surface.canvas.width === Math.round(gelform.surface.canvas.clientWidth)"
-        )
-    )
-    until(lambda: len(np.unique(picture(page, "#surface").reshape(-1, 3) // 16, axis=0)) > 20)
+    whole = "gelform.surface.canvas.width === Math.round(gelform.surface.canvas.clientWidth)"
+    until(lambda: page.evaluate(whole))
+    until(lambda: is_drawn(page))
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs signals that stop a process")
@@ -179,7 +183,7 @@ def test_after_sleep_the_page_comes_back_by_itself(visit):
 
 
 @pytest.fixture
-def two(hub, sensor, calibration):
+def two(hub, sensor, calibration, show):
     """The hub with a second sensor, pressed; its exposure can be set."""
 
     def opened():
@@ -189,16 +193,11 @@ def two(hub, sensor, calibration):
         source.set_controls = lambda wanted: source.settings.update(wanted) or source.settings
         return source
 
-    station = Station(1, "right", opened, hub.changed)
-    station.setup = Setup(calibration, "mine")
-    hub.stations.append(station)
-    station.start()
-    until(lambda: station.newest)
-    station.source.press_at(60, 70, 0.45, held_s=600)
+    show(opened, hub, Setup(calibration, "mine")).source.press_at(60, 70, 0.45, held_s=600)
     return hub
 
 
-def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, picture):
+def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, is_drawn):
     page = visit()
     until(lambda: page.evaluate("gelform.stages.length") == 2)
     until(lambda: page.evaluate("gelform.stages[1].frame?.header.peak > 0.4"))
@@ -206,7 +205,7 @@ def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, picture):
     first, second = (page.locator(one).bounding_box() for one in ("#surface", "#surface-1"))
     assert first["y"] == second["y"]
     assert second["x"] >= first["x"] + first["width"]
-    until(lambda: len(np.unique(picture(page, "#surface-1").reshape(-1, 3) // 16, axis=0)) > 20)
+    until(lambda: is_drawn(page, "#surface-1"))
     until(lambda: page.evaluate("Object.keys(gelform.stages[1].frame.planes)") == ["depth"])
     page.click(".chooser >> nth=1")
     until(lambda: page.evaluate("gelform.frame.header.station === 1 && gelform.frame.has('image')"))
@@ -221,9 +220,8 @@ def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, picture):
     curves = page.evaluate(drawn.format("time"))
     page.click(".chooser >> nth=0")
     until(lambda: page.inner_text(".whose >> nth=1") == "of sensor 1")
-    until(
-        lambda: page.get_attribute("#follow", "aria-pressed") == "true"
-    )  # the point was chosen on the other one
+    # The point was chosen on the other one.
+    until(lambda: page.get_attribute("#follow", "aria-pressed") == "true")
     until(lambda: page.inner_text("#profile-at").startswith("at (88, 66)"))  # the middle: nothing touches it
     until(lambda: page.evaluate(drawn.format("time")) != curves)
     page.click(".chooser >> nth=1")
@@ -253,18 +251,15 @@ def test_a_camera_of_the_list_is_shown_from_the_page_and_left_again(hub, station
         until(lambda: page.evaluate("gelform.facts.stations[0].calibration") == "mine")
 
 
-def test_what_is_in_the_way_of_a_camera_is_said_on_the_page(visit, serving_of):
+def test_what_is_in_the_way_of_a_camera_is_said_on_the_page(visit, serving_of, show):
     """The sentence that `open_source` gives for a camera that another program has."""
-    from gelform.errors import SensorError
 
     def busy():
-        raise SensorError(
-            "DIGIT (serial D1, /dev/video0) is in use by python (process 7). Close the other program."
-        )
+        said = "DIGIT (serial D1, /dev/video0) is in use by python (process 7). Close the other program."
+        raise SensorError(said)
 
     hub = Hub()
-    hub.stations.append(Station(0, "D1", busy, hub.changed))
-    hub.stations[0].start()
+    show(busy, hub, waits=False)
     page = visit(serving_of(hub).url)
     until(lambda: page.is_visible("#banner"))
     until(lambda: "process 7" in page.inner_text("#banner"))
@@ -290,10 +285,7 @@ def test_words_for_a_motion_that_is_awaited_small_or_partly_unseen(visit, statio
     page = visit()
     page.click("#motion-on")
     until(lambda: page.is_visible("#motion-card"))
-    until(
-        lambda: "cannot be seen" in page.inner_text("#motion-card") or "hardly" in page.inner_text("#motion"),
-        20,
-    )
+    until(lambda: re.search("cannot be seen|hardly", page.inner_text("#motion-card")), 20)
     station.source.lift()
     station.source.rest()
     until(lambda: page.inner_text("#motion") == "Waiting for a touch.", 20)
@@ -304,31 +296,19 @@ def test_words_for_a_motion_that_is_awaited_small_or_partly_unseen(visit, statio
     }"""
     page.click("#pause")
     until(lambda: page.evaluate("gelform.facts.stations[0].paused"))
-    ball = [
-        "turns about the ball's center at (0.1, -0.4, -2.6) mm",
-        "turns about the ball's center at (0.1, -0.3, -2.6) mm",
-    ]
-    known = {"state": "found", "why": "", "blind": ball, "path": [], "axes": None}
-    numbers = {
-        "shift_mm": [-0.001, 0.3],
-        "shift_sigma_mm": [0.01, 0.01],
-        "turn_deg": None,
-        "turn_sigma_deg": None,
-    }
-    page.evaluate(script, known | numbers)
-    until(
-        lambda: (
-            page.inner_text("#motion")
-            == "Since the touch: moved 0.30 mm down, how far it turned is not known."
-        )
-    )
+    ball = [f"turns about the ball's center at (0.1, {y}, -2.6) mm" for y in (-0.4, -0.3)]
+    motion = {"state": "found", "why": "", "blind": ball, "path": [], "axes": None}
+    motion |= {"shift_mm": [-0.001, 0.3], "shift_sigma_mm": [0.01, 0.01]}
+    page.evaluate(script, motion | {"turn_deg": None, "turn_sigma_deg": None})
+    said = "Since the touch: moved 0.30 mm down, how far it turned is not known."
+    until(lambda: page.inner_text("#motion") == said)
     assert page.inner_text("#motion-blind") == "Turns about the ball's center cannot be seen."
     page.click("#motion-more summary")
     assert page.inner_text("#motion-numbers") == "x 0.00 ± 0.01 mm, y 0.30 ± 0.01 mm, turn not known"
 
 
-def test_the_path_and_the_turn_of_letters(visit, hub, station):
-    touch(hub, 0)
+def test_the_path_and_the_turn_of_letters(visit, station):
+    touch(station, 0)
     page = visit()
     until(lambda: page.evaluate("gelform.frame?.header.peak > 0.2"))
     assert page.evaluate("gelform.frame.header.motion") is None
@@ -338,7 +318,7 @@ def test_the_path_and_the_turn_of_letters(visit, hub, station):
     until(lambda: page.inner_text("#motion") == "The object has hardly moved.", 20)
     assert page.evaluate("gelform.frame.header.motion.shift_mm") is None
     for step in range(1, STEPS):
-        touch(hub, step)
+        touch(station, step)
     said = r"Since the touch: moved 1\.3\d mm right and 0\.[67]\d mm down, turned [45]\.\d° clockwise\."
     until(lambda: re.fullmatch(said, page.inner_text("#motion")), 20)
     assert not page.is_visible("#motion-numbers")
