@@ -19,7 +19,7 @@ from gelform.errors import DataError, GelformError, SensorError, SourceLostError
 from gelform.image.frame import Frame
 from gelform.live import actions
 from gelform.live.hub import GRACE_S, Hub, Pages, page_named, sentence_for_page
-from gelform.live.start import Options, start
+from gelform.live.start import start
 from gelform.live.station import Setup
 from gelform.live.web.client import done
 from gelform.sensors.films import open_film
@@ -197,7 +197,7 @@ def test_what_is_shared_plays_elsewhere_with_its_calibration(replayed, calibrati
     name = until(
         lambda: next((f["name"] for f in replayed.recordings.facts() if "shared" in f["name"]), None)
     )
-    with closing(start(Options([str(replayed.recordings.path(name))]))) as elsewhere:
+    with closing(start([str(replayed.recordings.path(name))])) as elsewhere:
         station = elsewhere.stations[0]
         until(lambda: station.newest and station.newest.result)
         assert station.setup.calibration.digest == calibration.digest

@@ -26,7 +26,7 @@ from gelform.exchange.plots import save_picture
 from gelform.live import actions
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations
-from gelform.live.start import Options, start
+from gelform.live.start import start
 from gelform.sensors import cameras as plugged_in
 from gelform.sensors.cameras import Camera
 from live_waiting import until
@@ -34,7 +34,7 @@ from made.sources import ImageSource, MjpegServer, jpeg, part
 
 
 def test_without_arguments_the_simulated_sensor_is_shown_calibrated():
-    with closing(start(Options(rate_hz=30))) as hub:
+    with closing(start(rate_hz=30)) as hub:
         shown = until(lambda: hub.stations[0].newest)
         assert shown.image.shape == (240, 320, 3)
         until(lambda: hub.stations[0].newest.result is not None)
@@ -52,11 +52,11 @@ def test_without_arguments_the_simulated_sensor_is_shown_calibrated():
 )
 def test_mistakes_are_said_at_once(tmp_path, sources, calibrations, error, said):
     with pytest.raises(error, match=said):
-        start(Options(sources, [tmp_path / name for name in calibrations]))
+        start(sources, [tmp_path / name for name in calibrations])
 
 
 def test_a_camera_that_is_not_there_is_said_and_waited_for():
-    with closing(start(Options(["NO-SUCH-SERIAL-7"]))) as hub:
+    with closing(start(["NO-SUCH-SERIAL-7"])) as hub:
         assert "tries again" in hub.notices[0][2]
         until(lambda: hub.stations[0].facts()["reason"])
         assert hub.stations[0].facts()["state"] == "missing"
@@ -65,19 +65,19 @@ def test_a_camera_that_is_not_there_is_said_and_waited_for():
 def test_the_password_of_a_camera_is_shown_nowhere():
     with MjpegServer([part(jpeg()), 0.1] * 40) as server:
         spec = server.url.replace("//", "//eve:hidden@")
-        with closing(start(Options([spec]))) as hub:
+        with closing(start([spec])) as hub:
             until(lambda: hub.stations[0].newest)
             facts = [hub.facts()]
         until(lambda: server.requests)
         assert b"Basic" in server.requests[0]
-    with closing(start(Options([spec]))) as hub:  # nothing answers any more
+    with closing(start([spec])) as hub:  # nothing answers any more
         until(lambda: hub.stations[0].facts()["reason"])
         facts.append(hub.facts())
     for one in facts:
         assert one["stations"][0]["spec"] == server.url
         assert "hidden" not in json.dumps(one)
     with pytest.raises(DataError, match="twice") as refused:
-        start(Options([spec, spec]))
+        start([spec, spec])
     assert "hidden" not in str(refused.value)
 
 
@@ -93,14 +93,14 @@ def test_the_password_of_a_camera_is_shown_nowhere():
 def test_a_camera_is_named_once(specs, said, monkeypatch):
     monkeypatch.setattr(plugged_in, "cameras_there", lambda: [Camera("DIGIT", "/dev/video0", "D1")])
     with pytest.raises(DataError, match=said):
-        start(Options(specs))
+        start(specs)
 
 
 def test_a_folder_plays_once_and_stays_at_its_end(tmp_path, simulated, calibration):
     for k, press in enumerate(simulated.presses[:4]):
         save_picture(tmp_path / f"{k}.png", press.image)
     calibration.save(tmp_path / "mine.npz")
-    with closing(start(Options([str(tmp_path)], [tmp_path / "mine.npz"]))) as hub:
+    with closing(start([str(tmp_path)], [tmp_path / "mine.npz"])) as hub:
         station = hub.stations[0]
         hub.sinks += 1  # as a page, for which it waits
         until(lambda: (r := station.facts()["replay"]) and not r["playing"] and r["number"] == 3)
@@ -113,7 +113,7 @@ def test_a_folder_of_blue_green_red_frames_is_shown_in_rgb_and_has_its_controls(
     image = simulated.presses[0].image
     for k in range(2):
         save_picture(tmp_path / f"{k}.png", image[..., ::-1])
-    with closing(start(Options([str(tmp_path)], bgr=True))) as hub:
+    with closing(start([str(tmp_path)], bgr=True)) as hub:
         (station,) = hub.stations
         until(lambda: station.player)
         station.pause(True)
@@ -129,7 +129,7 @@ def test_bgr_holds_for_recordings_that_are_opened_later_and_not_for_the_pages_ow
     given, later = tmp_path / "given.npy", tmp_path / "later.npy"
     for path in (given, later):
         np.save(path, np.stack([image[..., ::-1]] * 2))
-    with closing(start(Options([str(given)], folder=tmp_path, bgr=True))) as hub:
+    with closing(start([str(given)], folder=tmp_path, bgr=True)) as hub:
         (station,) = hub.stations
         until(lambda: station.player)
         actions.share(hub, station)
@@ -142,7 +142,7 @@ def test_bgr_holds_for_recordings_that_are_opened_later_and_not_for_the_pages_ow
 
 @pytest.mark.slow
 def test_two_simulated_sensors_are_touched_apart_from_each_other():
-    with closing(start(Options(["simulated", "simulated"], rate_hz=20))) as hub:
+    with closing(start(["simulated", "simulated"], rate_hz=20)) as hub:
         until(lambda: all(station.newest and station.newest.result for station in hub.stations))
         first, second = (station.source for station in hub.stations)
         assert (first.image_at(7) != second.image_at(7)).mean() > 0.2
@@ -160,7 +160,7 @@ def test_a_camera_that_another_program_has_is_said_with_its_name(tmp_path, monke
     camera.write_bytes(b"")
     with camera.open("rb") as held, subprocess.Popen(["sleep", "60"], stdin=held) as other:
         try:
-            hub = start(Options([str(camera)]))
+            hub = start([str(camera)])
             hub.close()
             assert f"in use by sleep (process {other.pid})" in hub.notices[0][2]
             assert "Close the other program" in hub.notices[0][2]
@@ -185,7 +185,7 @@ def test_the_newest_calibration_of_the_camera_is_taken_from_the_library(library,
         made = replace(calibration, serial=serial, gel_id=gel, created_utc=f"2026-11-0{gel}T00:00:00+00:00")
         add_calibration(made)
     (library / "damaged.npz").write_text("none")
-    with closing(start(Options(["D1"]))) as hub:
+    with closing(start(["D1"])) as hub:
         assert hub.stations[0].setup.calibration.gel_id == "2"
         assert "(gel 2, of 2026-11-02 00:00)" in hub.notices[-1][2]
         assert len(hub.calibrations.names) == 3
@@ -193,7 +193,7 @@ def test_the_newest_calibration_of_the_camera_is_taken_from_the_library(library,
 
 def test_without_a_library_the_page_starts_and_says_so(monkeypatch):
     monkeypatch.setenv("GELFORM_CALIBRATIONS", "relative")
-    with closing(start(Options(["NO-SUCH-SERIAL-7"]))) as hub:
+    with closing(start(["NO-SUCH-SERIAL-7"])) as hub:
         assert "Expected an absolute path in GELFORM_CALIBRATIONS" in hub.notices[0][2]
 
 
@@ -252,7 +252,7 @@ def test_what_the_guide_saves_is_in_use_after_a_restart_without_a_flag(library, 
 def test_a_folder_waits_for_the_first_page(tmp_path):
     for k in range(40):
         save_picture(tmp_path / f"{k:02d}.png", np.full((48, 64, 3), 90, np.uint8))
-    with closing(start(Options([str(tmp_path)]))) as hub:
+    with closing(start([str(tmp_path)])) as hub:
         until(lambda: hub.stations[0].newest)
         time.sleep(0.4)  # ten frames
         assert hub.stations[0].player.facts()["number"] == 0
@@ -343,7 +343,7 @@ def test_a_scratched_gel_is_said_beside_the_depth(never, unpressed):
 
 
 def test_a_make_that_was_named_is_asked_for_instead_of_calibrated():
-    with closing(start(Options(rate_hz=30, sensor=MAKE))) as hub:
+    with closing(start(rate_hz=30, sensor=MAKE)) as hub:
         (station,) = hub.stations
         assert not hub.work
         assert said(hub)["sensor"] == MAKE

@@ -184,7 +184,7 @@ def show_camera(hub: Hub, station: Station, camera: int) -> None:
     found = hub.devices.camera(camera)
     hub.check_idle(station)
     setup = Setup(solver=station.setup.solver)
-    name = hub.calibrations.of_unit(unit_of_camera(found, hub.devices.cameras()))
+    name = hub.calibrations.of_unit(unit_of_camera(found, hub.devices.cameras().values()))
     if name is not None:
         setup = Setup(hub.calibrations[name], name, setup.solver)
     hub.devices.show(station, found, setup)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gelform import GelformError, __version__
+from gelform import GelformError
 from gelform.calibration.starters import make_name, starter_names, starter_of_source
 from gelform.depth.solvers import SOLVERS
 from gelform.foundations.findings import Progress
@@ -183,7 +183,6 @@ class Hub:
     def facts(self, notices_after: int = 0) -> dict[str, Any]:
         """The state for the page, besides frames."""
         return {
-            "version": __version__,
             "now_s": time.monotonic(),
             "stations": [one.facts() | {"starter": starter_facts(one)} for one in self.stations],
             "starters": [[name, make_name(name)] for name in starter_names()],
@@ -193,11 +192,7 @@ class Hub:
             "files": self.recordings.facts(),
             "devices": self.devices.facts(),
             "recordings": {
-                number: {
-                    "frames": one.stats.frames,
-                    "seconds": one.stats.duration_s,
-                    "bytes": one.stats.written_bytes,
-                }
+                number: {"frames": one.stats.frames, "bytes": one.stats.written_bytes}
                 for number, one in tuple(self.recorders.items())
             },
             "profiles": [[name, profile.name, profile.mm_per_px] for name, profile in PROFILES.items()],

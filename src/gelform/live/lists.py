@@ -18,8 +18,6 @@ from gelform.sensors.cameras import Camera, UsbCamera, cameras_in_sysfs
 from gelform.sensors.films import films_in
 from gelform.sensors.source import Source
 
-Opener = Callable[[Camera, Mapping[str, float | str]], Source]
-
 
 def listed_cameras() -> list[Camera]:
     """The connected cameras, if the system lists them; elsewhere each would have to be opened for that."""
@@ -42,26 +40,26 @@ class Devices:
         self,
         stations: Sequence[Station],
         cameras: Callable[[], Sequence[Camera]] = listed_cameras,
-        open_camera: Opener = UsbCamera,
+        open_camera: Callable[[Camera, Mapping[str, float | str]], Source] = UsbCamera,
     ) -> None:
         self._stations, self._cameras, self._open_camera = stations, cameras, open_camera
         self._lock, self._showing = threading.Lock(), threading.Lock()
         self._numbers: dict[str, int] = {}
-        self._looked_s, self._there = float("-inf"), tuple[Camera, ...]()
+        self._looked_s, self._there = float("-inf"), dict[int, Camera]()
 
-    def cameras(self) -> tuple[Camera, ...]:
-        """The connected cameras, searched for at most twice a second."""
+    def cameras(self) -> dict[int, Camera]:
+        """The connected cameras by their numbers, searched for at most twice a second."""
         with self._lock:
             if time.monotonic() - self._looked_s > 0.5:
-                self._looked_s, self._there = time.monotonic(), tuple(self._cameras())
+                self._looked_s, numbers = time.monotonic(), self._numbers
+                self._there = {numbers.setdefault(_key(one), len(numbers)): one for one in self._cameras()}
             return self._there
 
     def camera(self, number: int) -> Camera:
         """The camera with a number of the list; GelformError if it is not connected."""
-        for camera in self.cameras():
-            if self._number(camera) == number:
-                return camera
-        raise GelformError("That camera is no longer plugged in. Choose another one in the list.")
+        if (found := self.cameras().get(number)) is None:
+            raise GelformError("That camera is no longer plugged in. Choose another one in the list.")
+        return found
 
     def show(self, station: Station, camera: Camera, setup: Setup) -> None:
         """Show a camera on a station; if several pages ask at once, the first one gets it.
@@ -82,15 +80,11 @@ class Devices:
         """The rows of the page's list: the stations' sources, and the connected cameras that no station shows."""
         stations = tuple(self._stations)
         shown = {_key(one.camera) for one in stations if one.camera is not None}
-        others = [(self._number(one), one) for one in self.cameras() if _key(one) not in shown]
         return [_row_of_station(one) for one in stations if one.player is None] + [
             _row(f"camera {number}", one.name, one.serial, "not shown", camera=number)
-            for number, one in others
+            for number, one in self.cameras().items()
+            if _key(one) not in shown
         ]
-
-    def _number(self, camera: Camera) -> int:
-        with self._lock:
-            return self._numbers.setdefault(_key(camera), len(self._numbers))
 
 
 def _row_of_station(station: Station) -> dict[str, Any]:

@@ -211,7 +211,6 @@ class Shown:
         result, numbers = self.result, self.numbers
         facts: dict[str, Any] = {
             "serial": self.serial,
-            "index": self.frame.index,
             "time_s": self.frame.time_s,
             "height": self.image.shape[0],
             "width": self.image.shape[1],
@@ -239,8 +238,6 @@ class Shown:
             "motion": self.motion,
             "causes": list(CAUSES),
             "cause_colors": [cause.color for cause in CAUSES.values()],
-            "solver": result.solver,
-            "curl_rms": result.curl_rms,
         }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -25,49 +24,50 @@ from gelform.sensors.source import Source, device_of, simulated_sensor_of
 from gelform.simulate import SimulatedSensor
 
 
-@dataclass(frozen=True)
-class Options:
-    """The options of `gelform live`."""
-
-    sources: Sequence[str] = ("simulated",)  # also serial numbers, names, paths ...
-    calibrations: Sequence[Path] = ()  # files, one for all sources or one for each
-    folder: Path | None = None  # its calibrations are offered too
-    rate_hz: float = RATE_HZ  # of simulated sensors
-    sensor: str | None = None  # whose starter is used without a calibration; None: that of the camera's make
-    bgr: bool = False  # whether frames of cameras and files are blue, green, red
-
-
-def start(options: Options) -> Hub:
+def start(
+    sources: Sequence[str] = ("simulated",),
+    calibrations: Sequence[Path] = (),
+    folder: Path | None = None,
+    rate_hz: float = RATE_HZ,
+    sensor: str | None = None,
+    bgr: bool = False,
+) -> Hub:
     """Open the sources and reconstruct; wait for cameras that are not connected yet.
+
+    `sources` are "simulated", serial numbers, names, paths ...; `calibrations` are files, one for all sources or one for
+    each. `folder` has more calibrations and recordings, and gets the new ones. `rate_hz` is that of simulated sensors.
+    `sensor` is the make whose starter is used without a calibration, by default that of the camera. `bgr` says that frames
+    of cameras and files are blue, green, red.
 
     DataError: several calibrations, but not one for each source; a missing file; a camera named twice. CalibrationError:
     a calibration cannot be read.
     """
-    if len(options.calibrations) not in (0, 1, len(options.sources)):
+    if len(calibrations) not in (0, 1, len(sources)):
         raise DataError(
-            f"Expected one calibration for all sources or one for each of the {len(options.sources)}, "
-            f"got {len(options.calibrations)}."
+            f"Expected one calibration for all sources or one for each of the {len(sources)}, "
+            f"got {len(calibrations)}."
         )
-    _check_named_once(options.sources)
+    _check_named_once(sources)
     library, problem = None, ""
     try:
         library = library_folder()
     except DataError as said:  # the page works without a library
         problem = str(said)
-    given = [Path(spec) for spec in options.sources if is_film(spec)]
+    given = [Path(spec) for spec in sources if is_film(spec)]
     hub = Hub(
-        calibrations=Calibrations(options.calibrations, options.folder, library),
-        recordings=Recordings(given, options.folder),
-        folder=options.folder or Path("."),
-        bgr=options.bgr,
+        calibrations=Calibrations(calibrations, folder, library),
+        recordings=Recordings(given, folder),
+        folder=folder or Path("."),
+        bgr=bgr,
     )
     if problem:
         hub.notice(problem, "warning")
-    names = [hub.calibrations.add_file(path) for path in options.calibrations]
+    names = [hub.calibrations.add_file(path) for path in calibrations]
     for name in names:
         hub.calibrations[name]  # an unreadable one is reported before anything opens
-    for number, spec in enumerate(options.sources):
-        _show(hub, options, number, spec, names[number % len(names)] if names else "")
+    for number, spec in enumerate(sources):
+        name = names[number % len(names)] if names else ""
+        _show(hub, number, spec, name, rate_hz, sensor or "")
     return hub
 
 
@@ -86,21 +86,21 @@ def _check_named_once(specs: Sequence[str]) -> None:
         named[camera] = shown
 
 
-def _show(hub: Hub, options: Options, number: int, spec: str, name: str) -> None:
+def _show(hub: Hub, number: int, spec: str, name: str, rate_hz: float, make: str) -> None:
     """Show a source, with the calibration of that name, or the one that it has or is known by; else only its images."""
     sensor, recording = simulated_sensor_of(spec), None
     if sensor is not None:
-        source = partial(SimulatedSource, sensor, rate_hz=options.rate_hz, seed=number)
+        source = partial(SimulatedSource, sensor, rate_hz=rate_hz, seed=number)
         opening = Opening(source, 10.0)  # a busy machine simulates late although nothing was unplugged
     elif is_film(spec):
-        recording = open_film(Path(spec), bgr=options.bgr, scan=True)
+        recording = open_film(Path(spec), bgr=hub.bgr, scan=True)
         opening = Opening(partial(Player, recording, may_begin=hub.watched), math.inf)
         if said := end_missing(recording.path):
             hub.notice(said, "warning")
     else:
-        opening = _opening_of_camera(hub, spec, options.bgr)
+        opening = _opening_of_camera(hub, spec)
     station = Station(number, shown_address(spec), opening, hub.changed, hub.watched)
-    station.sensor = options.sensor or ""
+    station.sensor = make
     hub.stations.append(station)
     if name:
         station.setup = Setup(hub.calibrations[name], name)
@@ -112,16 +112,16 @@ def _show(hub: Hub, options: Options, number: int, spec: str, name: str) -> None
             station.setup = Setup(hub.calibrations[known], known)
             hub.notice(f"Calibration of {unit.said}: {described(known, hub.calibrations[known])}.")
     station.start()
-    if sensor is not None and station.setup.calibration is None and not options.sensor:
+    if sensor is not None and station.setup.calibration is None and not make:
         hub.start(partial(_make_ready, hub, station, sensor), station, "calibrating the simulated sensor")
 
 
-def _opening_of_camera(hub: Hub, spec: str, bgr: bool) -> Opening:
+def _opening_of_camera(hub: Hub, spec: str) -> Opening:
     """How to open a camera. It is opened once now, so that a mistake is also reported in the terminal."""
     wanted: dict[str, float | str] = {}
     opened: list[Source] = []
     try:
-        opened.append(open_source(spec, paced=True, bgr=bgr))
+        opened.append(open_source(spec, paced=True, bgr=hub.bgr))
     except SensorError as problem:
         if not _may_be_camera(hub, spec):
             raise DataError(
@@ -130,7 +130,7 @@ def _opening_of_camera(hub: Hub, spec: str, bgr: bool) -> Opening:
             ) from problem
         hub.notice(f"{problem} gelform tries again every second.", "warning")
     return Opening(
-        lambda: opened.pop() if opened else open_source(spec, paced=True, settings=wanted, bgr=bgr),
+        lambda: opened.pop() if opened else open_source(spec, paced=True, settings=wanted, bgr=hub.bgr),
         wanted=wanted,
     )
 

@@ -31,9 +31,6 @@ from gelform.sensors.streams.memory import Memory, Timed, Work
 from gelform.sensors.streams.pipeline import NewestFrames, Pipeline
 from gelform.sensors.streams.sensor_health import CameraCheck
 
-UNSEEN = 0.25  # of the sigma without any contact; a larger sigma is that of a direction that nothing shows
-UNKNOWN = dict.fromkeys(("shift_mm", "shift_sigma_mm", "turn_deg", "turn_sigma_deg", "axes"))
-
 
 class MovedSince:
     """Follows the touching object from frame to frame; begins anew when nothing touches, or with another calibration."""
@@ -72,10 +69,12 @@ class MovedSince:
 def _facts(motion: Motion) -> dict[str, Any]:
     """What is known of a motion."""
     blind = list(dict.fromkeys(one.words for one in motion.blind))
-    facts: dict[str, Any] = {"state": motion.state, "why": motion.why, "blind": blind, **UNKNOWN}
+    facts: dict[str, Any] = {"state": motion.state, "why": motion.why, "blind": blind}
+    facts |= dict.fromkeys(("shift_mm", "shift_sigma_mm", "turn_deg", "turn_sigma_deg", "axes"))
     if motion.state != FOUND or motion.pose is None or motion.covariance is None or motion.center_mm is None:
         return facts
-    most_mm, most_rad = UNSEEN * np.array(NO_PRIOR)
+    # A larger sigma than a quarter of that without any contact is of a direction that nothing shows.
+    most_mm, most_rad = 0.25 * np.array(NO_PRIOR)
     sigma, turn = np.sqrt(np.diag(motion.covariance)), motion.pose[:3, :3]
     if _largest_sigma(motion.covariance[:2, :2]) < most_mm:
         before = moved(np.linalg.inv(motion.pose), motion.center_mm)
@@ -333,7 +332,6 @@ class Station:
             "skipped": self.skipped,
             "simulated": self.simulated is not None,
             "calibration": setup.name,
-            "image_shape": None if setup.calibration is None else list(setup.calibration.image_shape),
             "background": "taken on this page" if setup.background is not None else "from the calibration",
             "can_undo": bool(setup.earlier),
             "zero": setup.memory is not None and setup.memory.zero is not None,

@@ -11,7 +11,7 @@ import pytest
 import gelform
 from gelform.calibration.guide import LEAST
 from gelform.calibration.starters import load_starter
-from gelform.live.start import Options, start
+from gelform.live.start import start
 from gelform.live.station import Setup
 from live_waiting import held, until
 
@@ -90,7 +90,7 @@ def started():
     hubs = []
 
     def of(sensor=MAKE):
-        hubs.append(start(Options(rate_hz=20, sensor=sensor)))
+        hubs.append(start(rate_hz=20, sensor=sensor))
         return hubs[-1]
 
     yield of

@@ -60,12 +60,6 @@ def replay(page, hub, station, recording, tmp_path):
     return page
 
 
-def test_a_pressed_frame_is_no_background(replay, station):
-    replay.click("#background")
-    until(lambda: "Something touches the gel" in replay.inner_text("#toasts"))
-    assert station.setup.background is None
-
-
 def number(page):
     return page.evaluate("gelform.frame?.header.replay?.[0]")
 

@@ -289,8 +289,7 @@ def watched_from(content: dict[str, Any]) -> Watched:
 
 def _encoded(station: Station, shown: Shown, before: int, watched: Watched) -> bytes:
     numbers = thinned(station.numbers_since(before))
-    header = {**shown.header(), "station": station.number, "numbers": [list(row[1:]) for row in numbers]}
-    header["sent_s"] = time.monotonic()
+    header = {**shown.header(), "station": station.number, "numbers": [row[1:] for row in numbers]}
     planes = ("depth", "unknown") if station.number in watched.few else watched.planes
     return message(header, shown.planes(planes, watched.encoding))
 
