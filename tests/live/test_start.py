@@ -29,7 +29,7 @@ from gelform.live.lists import Calibrations
 from gelform.live.start import start
 from gelform.sensors import cameras as plugged_in
 from gelform.sensors.cameras import Camera
-from live_waiting import until
+from live_waiting import next_of, until
 from made.sources import ImageSource, MjpegServer, jpeg, part
 
 
@@ -48,16 +48,23 @@ def test_without_arguments_the_simulated_sensor_is_shown_calibrated():
         (["simulated:three-edge"], [], ValueError, "three-edges"),
         (["nowhere/none.mp4"], [], DataError, r"none\.mp4"),
         (["seq"], [], DataError, r"No camera, file or folder seq\. Check the path"),
+        (["D1", "D1"], [], DataError, "'D1' twice"),
+        (["D1", "simulated", "DIGIT"], [], DataError, "'D1' and 'DIGIT', which is one camera"),
+        (["http://127.0.0.1:9/a"] * 2, [], DataError, "'http://127.0.0.1:9/a' twice"),
+        (["NO-SUCH-SERIAL-7"] * 2, [], DataError, "'NO-SUCH-SERIAL-7' twice"),
     ],
 )
-def test_mistakes_are_said_at_once(tmp_path, sources, calibrations, error, said):
+def test_mistakes_are_said_at_once(tmp_path, sources, calibrations, error, said, monkeypatch):
+    monkeypatch.setattr(plugged_in, "cameras_there", lambda: [Camera("DIGIT", "/dev/video0", "D1")])
     with pytest.raises(error, match=said):
         start(sources, [tmp_path / name for name in calibrations])
 
 
-def test_a_camera_that_is_not_there_is_said_and_waited_for():
+def test_a_camera_that_is_not_there_is_said_and_waited_for_also_without_a_library(monkeypatch):
+    monkeypatch.setenv("GELFORM_CALIBRATIONS", "relative")
     with closing(start(["NO-SUCH-SERIAL-7"])) as hub:
-        assert "tries again" in hub.notices[0][2]
+        assert "Expected an absolute path in GELFORM_CALIBRATIONS" in hub.notices[0][2]
+        assert "tries again" in hub.notices[1][2]
         until(lambda: hub.stations[0].facts()["reason"])
         assert hub.stations[0].facts()["state"] == "missing"
 
@@ -81,30 +88,18 @@ def test_the_password_of_a_camera_is_shown_nowhere():
     assert "hidden" not in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("specs", "said"),
-    [
-        (["D1", "D1"], "'D1' twice"),
-        (["D1", "simulated", "DIGIT"], "'D1' and 'DIGIT', which is one camera"),
-        (["http://127.0.0.1:9/a"] * 2, "'http://127.0.0.1:9/a' twice"),
-        (["NO-SUCH-SERIAL-7"] * 2, "'NO-SUCH-SERIAL-7' twice"),
-    ],
-)
-def test_a_camera_is_named_once(specs, said, monkeypatch):
-    monkeypatch.setattr(plugged_in, "cameras_there", lambda: [Camera("DIGIT", "/dev/video0", "D1")])
-    with pytest.raises(DataError, match=said):
-        start(specs)
-
-
-def test_a_folder_plays_once_and_stays_at_its_end(tmp_path, simulated, calibration):
+def test_a_folder_waits_for_the_first_page_plays_once_and_stays_at_its_end(tmp_path, simulated, calibration):
     for k, press in enumerate(simulated.presses[:4]):
         save_picture(tmp_path / f"{k}.png", press.image)
     calibration.save(tmp_path / "mine.npz")
     with closing(start([str(tmp_path)], [tmp_path / "mine.npz"])) as hub:
         station = hub.stations[0]
-        hub.sinks += 1  # as a page, for which it waits
+        until(lambda: station.newest)
+        time.sleep(0.4)  # ten frames
+        assert station.player.facts()["number"] == 0
+        hub.sinks += 1  # as a page
         until(lambda: (r := station.facts()["replay"]) and not r["playing"] and r["number"] == 3)
-        until(lambda: (one := station.newest) and one.frame.number == 3 and one.result)
+        until(lambda: station.newest.frame.number == 3 and station.newest.result)
         assert station.facts()["state"] == "running"  # held, not lost
         assert hub.recordings.facts()[0]["name"] == tmp_path.name
 
@@ -191,21 +186,9 @@ def test_the_newest_calibration_of_the_camera_is_taken_from_the_library(library,
         assert len(hub.calibrations.names) == 3
 
 
-def test_without_a_library_the_page_starts_and_says_so(monkeypatch):
-    monkeypatch.setenv("GELFORM_CALIBRATIONS", "relative")
-    with closing(start(["NO-SUCH-SERIAL-7"])) as hub:
-        assert "Expected an absolute path in GELFORM_CALIBRATIONS" in hub.notices[0][2]
-
-
-def words_until(socket, wanted, timeout_s=120):
+def words_until(socket, wanted):
     """The first facts of the page of which something is wanted."""
-    stop = time.monotonic() + timeout_s
-    while time.monotonic() < stop:
-        data = socket.recv(timeout=timeout_s)
-        facts = json.loads(data) if isinstance(data, str) else {}
-        if found := wanted(facts):
-            return found
-    raise AssertionError("it did not come")
+    return next_of(socket, lambda data: isinstance(data, str) and wanted(json.loads(data)))
 
 
 @contextmanager
@@ -247,17 +230,6 @@ def test_what_the_guide_saves_is_in_use_after_a_restart_without_a_flag(library, 
     with live_running(tmp_path / "second") as socket:
         assert words_until(socket, used) == kept
     assert load_calibration(library / kept).serial == "simulated-three-edges"
-
-
-def test_a_folder_waits_for_the_first_page(tmp_path):
-    for k in range(40):
-        save_picture(tmp_path / f"{k:02d}.png", np.full((48, 64, 3), 90, np.uint8))
-    with closing(start([str(tmp_path)])) as hub:
-        until(lambda: hub.stations[0].newest)
-        time.sleep(0.4)  # ten frames
-        assert hub.stations[0].player.facts()["number"] == 0
-        hub.sinks += 1  # as a page
-        until(lambda: hub.stations[0].player.facts()["number"] > 2)
 
 
 MAKE = "simulated-three-edges"

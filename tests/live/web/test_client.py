@@ -29,7 +29,7 @@ from gelform.live.web.client import (
 )
 from gelform.sensors.simulated import SimulatedSource
 from gelform.sensors.source import open_source
-from live_waiting import until
+from live_waiting import next_of, until
 from made.sources import small_disk
 
 JSON = st.recursive(
@@ -89,16 +89,6 @@ def say(socket, **message):
     socket.send(json.dumps(message))
 
 
-def next_of(socket, wanted, timeout):
-    """The next message, bytes or words, of which something is wanted: that."""
-    stop = time.monotonic() + timeout
-    while time.monotonic() < stop:
-        data = socket.recv(timeout=timeout)
-        if found := wanted(data):
-            return found
-    raise AssertionError("it did not come")
-
-
 def next_frame(socket, timeout=5):
     return next_of(socket, lambda data: isinstance(data, bytes) and read_message(data), timeout)
 
@@ -113,42 +103,42 @@ def next_words(socket, kind, has=(), timeout=8):
     return next_of(socket, words, timeout)
 
 
-def test_a_frame_comes_for_each_credit_and_no_more(running, station):
-    with running.opened() as socket:
-        say(socket, **WATCH)
-        say(socket, do="credit")
-        header, planes = next_frame(socket)
-        assert header["station"] == 0
-        assert set(planes) == {"depth", "flags"}
-        shown = station.newest
-        assert len(planes["depth"]) == 2 * shown.result.depth.size
-        with pytest.raises((TimeoutError, AssertionError)):
-            next_frame(socket, 0.6)
+@pytest.fixture
+def socket(running):
+    """A websocket that watches the hub's station."""
+    with running.opened() as opened:
+        say(opened, **WATCH)
+        yield opened
 
 
-def test_what_was_missed_is_passed_over(running, station):
-    with running.opened() as socket:
-        say(socket, **WATCH)
-        say(socket, do="credit")
-        first = next_frame(socket)[0]["serial"]
-        until(lambda: station.newest.serial > first + 10)
-        say(socket, do="credit")
-        header, _ = next_frame(socket)
-        assert header["serial"] > first + 9
-        assert len(header["numbers"]) > 5  # but their numbers come, for the curves
+def test_a_frame_comes_for_each_credit_and_no_more(socket, station):
+    say(socket, do="credit")
+    header, planes = next_frame(socket)
+    assert header["station"] == 0
+    assert set(planes) == {"depth", "flags"}
+    assert len(planes["depth"]) == 2 * station.newest.result.depth.size
+    with pytest.raises((TimeoutError, AssertionError)):
+        next_frame(socket, 0.6)
 
 
-def test_depth_is_the_results(running, station):
+def test_what_was_missed_is_passed_over(socket, station):
+    say(socket, do="credit")
+    first = next_frame(socket)[0]["serial"]
+    until(lambda: station.newest.serial > first + 10)
+    say(socket, do="credit")
+    header, _ = next_frame(socket)
+    assert header["serial"] > first + 9
+    assert len(header["numbers"]) > 5  # but their numbers come, for the curves
+
+
+def test_planes_are_those_of_the_newest_frame(socket, station):
     station.source.press_at(90, 60, 0.4, held_s=20)
     until(lambda: station.newest.numbers.peak > 0.3)
     station.paused = True
     time.sleep(0.3)
-    with running.opened() as socket:
-        say(socket, **WATCH)
-        say(socket, do="credit")
-        _, planes = next_frame(socket)
+    say(socket, do="credit")
     wanted = station.newest.planes(WATCH["planes"], "raw")
-    assert planes == {one.facts["name"]: one.data for one in wanted}
+    assert next_frame(socket)[1] == {one.facts["name"]: one.data for one in wanted}
 
 
 def test_older_numbers_are_thinned_to_their_deepest():
@@ -164,15 +154,14 @@ def test_older_numbers_are_thinned_to_their_deepest():
     assert thinned([]) == []
 
 
-def test_the_state_comes_by_itself_and_answers_to_buttons(running):
-    with running.opened() as socket:
-        assert next_words(socket, "state")["stations"][0]["state"] == "running"
-        say(socket, do="solver", station=0, name="nonsense")
-        assert "Expected a solver" in next_words(socket, "done")["problem"]
-        say(socket, do="ping", sent=1.5)
-        assert next_words(socket, "pong")["sent"] == 1.5
-        say(socket, do="snapshot", station=0)
-        assert next_words(socket, "snapshot")["number"] == 1
+def test_the_state_comes_by_itself_and_answers_to_buttons(socket):
+    assert next_words(socket, "state")["stations"][0]["state"] == "running"
+    say(socket, do="solver", station=0, name="nonsense")
+    assert "Expected a solver" in next_words(socket, "done")["problem"]
+    say(socket, do="ping", sent=1.5)
+    assert next_words(socket, "pong")["sent"] == 1.5
+    say(socket, do="snapshot", station=0)
+    assert next_words(socket, "snapshot")["number"] == 1
 
 
 def test_a_stalled_client_costs_the_others_nothing(running, station):
@@ -211,11 +200,10 @@ def test_clicks_at_a_held_sensor_cost_other_pages_nothing(running, hub, sensor, 
         assert time.monotonic() - began_s < 10  # one click that waits for frames takes 15 s
 
 
-def test_an_action_that_fails_as_nobody_expected_is_answered_and_logged(running, monkeypatch, caplog):
+def test_an_action_that_fails_as_nobody_expected_is_answered_and_logged(socket, monkeypatch, caplog):
     monkeypatch.setitem(COMMANDS, "zero", (lambda hub, station: [][station.number], {}))
-    with running.opened() as socket:
-        say(socket, do="zero", station=0)
-        assert "mistake in gelform, not yours: IndexError" in next_words(socket, "done")["problem"]
+    say(socket, do="zero", station=0)
+    assert "mistake in gelform, not yours: IndexError" in next_words(socket, "done")["problem"]
     assert caplog.records[-1].exc_info[0] is IndexError
 
 
