@@ -7,13 +7,12 @@ import threading
 import pytest
 from websockets.sync.client import connect
 
-from gelform.image.frame import Frame
+from gelform import Frame, Reconstructor
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations
 from gelform.live.shown import Shown
 from gelform.live.station import Setup, Station
 from gelform.live.web.server import listen
-from gelform.reconstruct import Reconstructor
 from gelform.sensors.simulated import SimulatedSource
 from live_waiting import until
 

@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.errors import DataError, GelformError, SensorError, SourceLostError
-from gelform.image.frame import Frame
+from gelform import DataError, Frame, GelformError, SensorError, SourceLostError
 from gelform.live import actions
 from gelform.live.hub import GRACE_S, Hub, Pages, page_named, sentence_for_page
 from gelform.live.start import start
@@ -245,22 +244,18 @@ def test_it_ends_with_the_page_that_began_it(hub, station, tmp_path, monkeypatch
     assert len(list(gelform.open_source(recorder.path))) == recorder.stats.frames
 
 
-def test_a_ball_of_no_size_is_refused_and_without_a_guide_there_is_nothing_to_fit(hub, station):
+def test_a_guide_refuses_an_impossible_ball_and_knows_the_simulated_sensors_scale(hub, station, sensor):
     for diameter in (0.0, -3.0, 1e4):
         with pytest.raises(GelformError, match="ball"):
             actions.guide_start(hub, station, diameter, "", 0.0)
-    assert not hub.guides
     for act in (actions.guide_fit, actions.guide_use):
         with pytest.raises(GelformError, match="Press Start first"):
             act(hub, station)
-
-
-def test_the_simulated_sensor_knows_its_scale(hub, station, sensor):
-    actions.guide_start(hub, station, 5.0, "", 0.0)
-    assert hub.guides[0].guide.settings.mm_per_px == sensor.mm_per_px
-    actions.guide_start(hub, station, 6.0, "", 0.0)
-    assert hub.guides[0].guide.ball_diameter_mm == 6.0
-    assert len(station.taps) == 1
+    for diameter in (5.0, 6.0):
+        actions.guide_start(hub, station, diameter, "", 0.0)
+        guide = hub.guides[0].guide
+        assert (guide.ball_diameter_mm, guide.settings.mm_per_px) == (diameter, sensor.mm_per_px)
+        assert len(station.taps) == 1
 
 
 PLACES_MM = np.array([(-5.0, -3.0), (5.0, 3.0), (0.0, 0.0), (-5.0, 3.5), (5.0, -3.5), (0.0, 4.0)])

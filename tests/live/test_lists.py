@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelform.errors import CalibrationError, GelformError, SensorError
+from gelform import CalibrationError, GelformError, SensorError, open_source
 from gelform.live import actions
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations, Devices, Recordings
@@ -24,7 +24,6 @@ from gelform.live.station import Setup
 from gelform.live.web.client import text
 from gelform.sensors.cameras import SETTABLE, Camera
 from gelform.sensors.simulated import SimulatedSource
-from gelform.sensors.source import open_source
 from live_waiting import until
 from stream.ffmpeg_camera import FfmpegCamera, why_absent
 

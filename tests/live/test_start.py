@@ -18,10 +18,9 @@ import numpy as np
 import pytest
 from websockets.sync.client import connect
 
+from gelform import CalibrationError, DataError, GelformError, load_calibration
 from gelform.calibration.library.library import add_calibration
 from gelform.calibration.starters import load_starter
-from gelform.calibration_file import load_calibration
-from gelform.errors import CalibrationError, DataError, GelformError
 from gelform.exchange.plots import save_picture
 from gelform.live import actions
 from gelform.live.hub import Hub

@@ -172,12 +172,6 @@ def test_buttons_do_what_they_say(page, station):
     until(lambda: station.setup.background is not None)
 
 
-def test_details_are_folded_until_they_are_asked_for(page):
-    assert not page.is_visible("#facts")
-    page.click("#facts-card summary")
-    until(lambda: "capture to screen" in page.inner_text("#facts"))
-
-
 def test_the_numbers_are_of_the_frame_that_the_maps_show(visit, station):
     """While the ball goes in and out, at every drawing."""
     page = visit()
@@ -198,11 +192,14 @@ def test_the_numbers_are_of_the_frame_that_the_maps_show(visit, station):
     assert [said.startswith(peak) for _, peak, said in seen] == [True] * len(seen)
 
 
-def test_every_view_can_be_chosen(page):
+def test_every_view_can_be_chosen_and_details_are_folded_until_they_are_asked_for(page):
     for view in page.evaluate("Object.keys(gelform.views)"):
         page.select_option(".pane select >> nth=0", view)
         until(lambda: page.evaluate("gelform.panes[0].painting.image !== null"))
         until(lambda view=view: page.locator(f".pane[data-view={view}]").count() >= 1)
+    assert not page.is_visible("#facts")
+    page.click("#facts-card summary")
+    until(lambda: "capture to screen" in page.inner_text("#facts"))
 
 
 def test_a_recording_ends_with_its_tab_but_not_when_it_is_loaded_anew(visit, hub, tmp_path, monkeypatch):

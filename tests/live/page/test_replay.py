@@ -17,8 +17,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.errors import SensorError
-from gelform.image.frame import Frame
+from gelform import Frame, SensorError, open_source
 from gelform.live.hub import Hub
 from gelform.live.lists import Devices
 from gelform.live.station import Setup
@@ -27,7 +26,6 @@ from gelform.sensors.films import open_film
 from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.record import attached_calibration
 from gelform.sensors.simulated import SimulatedSource, Touch
-from gelform.sensors.source import open_source
 from gelform.simulate import Pose, text_relief
 from live_waiting import until
 from made.sources import recorded

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
-from gelform.errors import GelformError
+from gelform import GelformError, open_source
 from gelform.live.hub import BUSY, Hub
 from gelform.live.shown import read_message
 from gelform.live.web.app import MAX_CLIENTS
@@ -28,7 +28,6 @@ from gelform.live.web.client import (
     thinned,
 )
 from gelform.sensors.simulated import SimulatedSource
-from gelform.sensors.source import open_source
 from live_waiting import next_of, until
 from made.sources import small_disk
 
