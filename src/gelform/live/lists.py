@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import time
@@ -25,15 +26,10 @@ def listed_cameras() -> list[Camera]:
 
 
 class Devices:
-    """The connected or open devices.
+    """The connected cameras, and the sources of the hub's stations except recordings.
 
     A camera's number is assigned at its first appearance, and stays with its USB socket. Pages never send a path.
-
-    Parameters
-    ----------
-    stations : the hub's stations; their sources are listed, except recordings
-    cameras : lists the connected cameras
-    open_camera : opens one of them, with settings
+    `cameras` lists the connected ones, and `open_camera` opens one of them, with settings.
     """
 
     def __init__(
@@ -244,10 +240,7 @@ def _is_below(path: Path, folder: Path) -> bool:
 
 
 def _resolved(path: Path) -> Path:
-    try:
-        return path.resolve()
-    except (OSError, RuntimeError):  # a link to itself, before Python 3.13
-        return path
+    return Path(os.path.realpath(path))  # a link to itself stays what it is
 
 
 def _name_of(path: Path, listed: dict[str, Path]) -> str | None:

@@ -145,13 +145,9 @@ class Opening:
 class Station:
     """A source, its reconstruction, and the displayed results: a `Pipeline` whose sequence is the station itself.
 
-    Parameters
-    ----------
-    number : the page's name for it
-    spec : the user's spec as it is shown: "simulated", a serial number, a path, an address without its password
-    opening : how to open its source, or the function that opens it
-    on_shown : called in the station's thread when there is something new to show
-    watched : whether every frame is needed, as for a tap; else eight per second are reconstructed, for the memory
+    `number` is the page's name for it, and `spec` the user's, as it is shown: "simulated", a serial number, a path, an
+    address without its password. `on_shown` is called in the station's thread when there is something new to show.
+    `watched` says whether every frame is needed, as for a tap; else eight per second are reconstructed, for the memory.
     """
 
     def __init__(

@@ -33,7 +33,7 @@ def test_the_guide_leads_from_the_ball_to_a_calibration_in_use(
     visit, hub, station, tmp_path, library, picture
 ):
     """The simulated sensor is pressed by the guide; what was made reads the depth of a press that it has not seen."""
-    hub.folder, station = tmp_path, station
+    hub.folder = tmp_path
     page = visit()
     page.click("#tab-calibrate")
     page.fill("#ball", "5")

@@ -45,15 +45,10 @@ HEADERS = {
 
 
 class Access:
-    """The host names of the server, and its token.
+    """The host names of the server, which `names` has besides this machine's own, and its token, if one is required.
 
-    Parameters
-    ----------
-    port : of the server
-    names : host names of the server besides this machine's own
-    token : None if none is required
-    any_address : whether any address (not name) is accepted as a host, for a server that listens on all of them. An address
-        cannot be bound to another machine, so this is safe
+    `any_address` accepts any address (not name) as a host, for a server that listens on all of them. An address cannot be
+    bound to another machine, so this is safe.
     """
 
     def __init__(

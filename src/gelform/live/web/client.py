@@ -147,13 +147,9 @@ class Watched:
 
 
 class Client:
-    """A websocket of a page.
+    """A page's websocket, already accepted.
 
-    Parameters
-    ----------
-    socket : accepted
-    hub : the hub that it shows
-    threads : do the actions, apart from those that encode frames: an action may wait for frames
+    `threads` do the actions, apart from those that encode frames: an action may wait for frames.
     """
 
     def __init__(self, socket: WebSocket, hub: Hub, threads: Executor) -> None:
