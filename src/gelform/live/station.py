@@ -137,9 +137,8 @@ class Opening:
     open_it: Callable[[], Source]  # called again after a loss
     stall_s: float = STALL_S  # s without a frame until the source counts as lost; a held recording never does
     camera: Camera | None = None  # of this machine, that it opens
-    wanted: dict[str, float | str] = field(
-        default_factory=dict
-    )  # settings chosen here; `open_it` sets them again
+    # Camera settings chosen here; `open_it` sets them again.
+    wanted: dict[str, float | str] = field(default_factory=dict)
 
 
 class Station:
@@ -198,7 +197,7 @@ class Station:
 
     @setup.setter
     def setup(self, setup: Setup) -> None:
-        if (memory := setup.memory) is not None and memory is not self._setup.memory:
+        if (memory := setup.memory) is not None:
             check = CameraCheck(memory.reconstruct.calibration)
             memory.standing = lambda: check(self.grabber)
             memory.run_by(lambda work: self._examine(work))

@@ -252,6 +252,10 @@ def test_beyond_this_machine_there_is_a_token_of_its_own():
             assert f"#token={server.token}" in server.url
     assert len(tokens) == 2
     assert all(len(token) >= 40 for token in tokens)
+    with pytest.raises(GelformError, match="address of this machine"):
+        listen("203.0.113.7", 0)
+    hosts = ("127.0.0.1", "::1", "localhost", "0.0.0.0", "10.0.0.3", "robot")
+    assert list(map(is_loopback, hosts)) == [True] * 3 + [False] * 3
 
 
 def test_a_port_in_use_is_said_where_it_was_asked_for_and_passed_over_where_not():
@@ -265,15 +269,6 @@ def test_a_port_in_use_is_said_where_it_was_asked_for_and_passed_over_where_not(
     assert first.address != second.address
     first.close()
     second.close()
-
-
-def test_which_hosts_are_this_machine_alone():
-    for host in ("127.0.0.1", "::1", "localhost"):
-        assert is_loopback(host)
-    for host in ("0.0.0.0", "10.0.0.3", "robot"):
-        assert not is_loopback(host)
-    with pytest.raises(GelformError, match="address of this machine"):
-        listen("203.0.113.7", 0)
 
 
 def test_without_the_extra_it_is_named(monkeypatch):

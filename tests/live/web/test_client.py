@@ -236,16 +236,13 @@ def test_a_disk_that_fills_up_ends_the_recording_on_the_page_too(running, hub, t
         assert f"Recorded {kept} frames: {name['name']}" in state["notices"][-1][2]
 
 
-FOREIGN = (
-    {"origin": None},
-    {"origin": "http://evil.example"},
-    {"Host": "evil.example"},
-    {"Sec-Fetch-Site": "cross-site"},
-)
-
-
 def test_other_pages_get_no_websocket(running):
-    for headers in FOREIGN:
+    for headers in (
+        {"origin": None},
+        {"origin": "http://evil.example"},
+        {"Host": "evil.example"},
+        {"Sec-Fetch-Site": "cross-site"},
+    ):
         with pytest.raises((InvalidHandshake, ConnectionClosed)), running.opened(**headers) as socket:
             socket.recv(timeout=3)
 
