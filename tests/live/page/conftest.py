@@ -73,6 +73,16 @@ def page(visit, station):
 
 
 @pytest.fixture
+def still(page, station):
+    """The picture of the page held: page and server show the same frame, whose result it is."""
+    page.click("#pause")
+    until(lambda: station.paused)
+    until(lambda: page.evaluate("gelform.frame.header.serial") == station.newest.serial)
+    until(lambda: page.evaluate("gelform.panes.every((one) => one.frame === gelform.frame && one.said)"))
+    return station.newest.result
+
+
+@pytest.fixture
 def picture():
     """The pixels (H, W, 3) of an element as the screen has them."""
 

@@ -26,15 +26,6 @@ pytestmark = pytest.mark.slow
 AXE = Path(os.environ.get("GELFORM_AXE", "node_modules/axe-core/axe.min.js"))
 
 
-def held(page, station):
-    """The picture held still: page and server show the same frame, whose result is given."""
-    page.click("#pause")
-    until(lambda: station.paused)
-    until(lambda: page.evaluate("gelform.frame.header.serial") == station.newest.serial)
-    until(lambda: page.evaluate("gelform.panes.every((one) => one.frame === gelform.frame && one.said)"))
-    return station.newest.result
-
-
 def pixels(page, pane, x, y, width=1, height=1):
     """RGB (N, 3) of a part of the map that a pane draws."""
     script = """([pane, ...part]) => {
@@ -44,15 +35,14 @@ def pixels(page, pane, x, y, width=1, height=1):
     return np.array(page.evaluate(script, [pane, int(x), int(y), width, height])).reshape(-1, 4)[:, :3]
 
 
-def test_colors_profile_and_numbers_are_those_of_the_array(page, station):
+def test_colors_profile_and_numbers_are_those_of_the_array(page, still):
     colormaps = pytest.importorskip("matplotlib").colormaps
-    result = held(page, station)
-    depth, top = result.depth_mm, page.evaluate("gelform.settings.range")
+    depth, top = still.depth_mm, page.evaluate("gelform.settings.range")
     row, column = np.unravel_index(depth.argmax(), depth.shape)
     for y, x in ((row, column), (row, column + 12), (5, 5)):
         wanted = 255 * np.array(colormaps["viridis"](max(0.0, depth[y, x] / top)))[:3]
         np.testing.assert_allclose(pixels(page, 0, x, y)[0], wanted, atol=12)
-    normals = gelform.normals_from_gradients(gelform.gradients_from_depth(depth, mm_per_px=result.mm_per_px))
+    normals = gelform.normals_from_gradients(gelform.gradients_from_depth(depth, mm_per_px=still.mm_per_px))
     for y, x in ((row, column + 12), (row - 9, column), (0, 0)):
         np.testing.assert_allclose(pixels(page, 2, x, y)[0], 127.5 + 127.5 * normals[y, x], atol=2)
     script = """([x, y]) => import('/js/maps/charts.js').then((module) => {
@@ -67,27 +57,22 @@ def test_colors_profile_and_numbers_are_those_of_the_array(page, station):
 
 
 @pytest.fixture
-def blinded(station, sensor):
+def blinded(page, station):
     """The sensor with a rectangle so bright that nothing is known of it."""
-    source = station.source
-    seen = source.image_at
+    seen = station.source.image_at
 
     def image_at(index):
         image = seen(index)
-        image[BLIND] = 255
+        image[80:110, 20:60] = 255
         return image
 
-    source.image_at = image_at
-    until(lambda: not station.newest.result.known.all())
-
-
-BLIND = np.s_[80:110, 20:60]
-
-
-def test_what_is_not_known_is_hatched_and_never_a_depth(page, station, blinded, picture):
-    """On maps, in the profile and on the surface, though the solver filled it in."""
+    station.source.image_at = image_at
     until(lambda: page.evaluate("gelform.frame.has('unknown')"))
-    known = held(page, station).known
+
+
+def test_what_is_not_known_is_hatched_and_never_a_depth(page, blinded, still, picture):
+    """On maps, in the profile and on the surface, though the solver filled it in."""
+    known = still.known
     assert not known[90:100, 30:50].any()
     swatches = page.locator(".pane >> nth=0 >> .swatch")
 
@@ -120,8 +105,7 @@ def test_what_is_not_known_is_hatched_and_never_a_depth(page, station, blinded, 
     assert of_hatch < 12 < of_depth  # gray: channels alike
 
 
-def test_the_surface_wears_the_confidence_whatever_the_panes_show(page, hub, blinded, picture):
-    until(lambda: page.evaluate("gelform.frame.has('unknown')"))
+def test_the_surface_wears_the_confidence_whatever_the_panes_show(page, blinded, picture):
     assert "confidence" not in page.evaluate("gelform.panes.map((one) => one.view)")
     page.select_option("#drape", "confidence")
     until(lambda: page.evaluate("gelform.frame.has('confidence')"))
@@ -136,16 +120,6 @@ def test_the_surface_wears_the_confidence_whatever_the_panes_show(page, hub, bli
     until(lambda: yellow_pixels() > 10_000)
     page.select_option("#drape", "depth")
     until(lambda: yellow_pixels() < 1_000)
-
-
-def test_the_surface_is_drawn_and_turns(page, station, picture, is_drawn):
-    held(page, station)
-    until(lambda: is_drawn(page))
-    before = picture(page, "#surface")
-    page.focus("#surface")
-    for _ in range(4):
-        page.keyboard.press("ArrowRight")
-    until(lambda: np.abs(picture(page, "#surface").astype(int) - before).mean() > 1)
 
 
 def test_buttons_do_what_they_say(page, station):
@@ -166,10 +140,19 @@ def test_buttons_do_what_they_say(page, station):
     with page.expect_download() as download:
         page.click(".toast a >> nth=0")
     assert cv2.imread(str(download.value.path())).shape == (*station.newest.result.shape, 3)
+    page.click("#background")
+    until(lambda: "Something touches the gel" in page.inner_text("#toasts"))
+    assert station.setup.background is None
+    assert not page.is_visible("#undo-background")
     station.source.lift()
     until(lambda: station.newest.numbers.peak < 0.05)
     page.keyboard.press("b")
-    until(lambda: station.setup.background is not None)
+    until(lambda: page.is_visible("#undo-background"))
+    until(lambda: "the average of 15 frames" in page.inner_text("#toasts"))
+    assert station.setup.background is not None
+    page.click("#undo-background")
+    until(lambda: not page.is_visible("#undo-background"))
+    assert station.setup.background is None
 
 
 def test_the_numbers_are_of_the_frame_that_the_maps_show(visit, station):

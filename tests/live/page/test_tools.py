@@ -13,44 +13,27 @@ from live_waiting import until
 pytestmark = pytest.mark.slow
 
 
-def test_the_force_has_its_sigma_or_the_reason(page):
-    """Hidden until loads are known."""
+def test_cards_have_the_force_with_its_sigma_or_the_reason_and_each_of_several_contacts(page):
+    """Each is hidden without: so the cards are read at once, before the next frame."""
     assert page.locator("#force-card").is_hidden()
+    script = """async ([draw, header, card]) => {
+        (await import('/js/panels/status.js'))[draw]({ header });
+        return document.getElementById(card).innerText;
+    }"""
     names = ("shear_x_n", "shear_y_n", "shear_sigma_n", "torsion_n_mm", "torsion_sigma_n_mm")
     force = {"normal_n": 4.2, "normal_sigma_n": 1.1, "force_reason": "no dots", **dict.fromkeys(names)}
-    # Read at once: the next frame, which has no force, hides the card again.
-    script = """async (force) => {
-        (await import('/js/panels/status.js')).drawForce({ header: { force } });
-        return document.getElementById('force-card').innerText;
-    }"""
-    said = page.evaluate(script, force)
+    said = page.evaluate(script, ["drawForce", {"force": force}, "force-card"])
     assert re.search(r"into the gel\s+4\.20 ± 1\.10 N", said)
     assert re.search(r"shear x\s+–", said)
     assert "no dots" in said
-
-
-def test_each_of_several_contacts_has_its_place_size_and_edge(page):
     mask = np.zeros((40, 60), dtype=bool)
     mask[4:10, 4:14] = mask[20:30, 50:60] = True
     contacts, _ = contacts_from_mask(mask, np.where(mask, np.float32(0.25), 0), mm_per_px=0.1)
-    script = """async (contacts) => {
-        (await import('/js/panels/status.js')).drawContacts({ header: { contacts } });
-        return document.getElementById('contacts').innerText;
-    }"""
-    lines = page.evaluate(script, [asdict(one) for one in contacts]).splitlines()
-    said = [" ".join(line.split()) for line in lines]
-    assert said == ["50, 20 0.250 1.0 cut by the border", "4, 4 0.250 0.6"]
-
-
-@pytest.fixture
-def still(page, station):
-    """The page with the picture held, and the result that it shows."""
-    page.click("#pause")
-    until(lambda: station.paused)
-    # The one that was compared: where the picture was held while a frame came, that one is shown last.
-    shows = "gelform.frame.header.serial"
-    shown = until(lambda: one if (one := station.newest).serial == page.evaluate(shows) else None)
-    return shown.result
+    said = page.evaluate(
+        script, ["drawContacts", {"contacts": [asdict(one) for one in contacts]}, "contacts"]
+    )
+    lines = [" ".join(line.split()) for line in said.splitlines()]
+    assert lines == ["50, 20 0.250 1.0 cut by the border", "4, 4 0.250 0.6"]
 
 
 def click_at(page, view, x, y):
@@ -95,22 +78,6 @@ def test_the_ruler_measures_between_two_points(page, still):
     until(lambda: page.is_hidden("#ruler"))
 
 
-def test_a_background_is_refused_while_something_touches_and_can_be_undone(page, station):
-    page.click("#background")
-    until(lambda: "Something touches the gel" in page.inner_text("#toasts"))
-    assert station.setup.background is None
-    assert not page.is_visible("#undo-background")
-    station.source.lift()
-    until(lambda: station.newest.numbers.peak < 0.05)
-    page.click("#background")
-    until(lambda: page.is_visible("#undo-background"))
-    until(lambda: "the average of 15 frames" in page.inner_text("#toasts"))
-    assert station.setup.background is not None
-    page.click("#undo-background")
-    until(lambda: not page.is_visible("#undo-background"))
-    assert station.setup.background is None
-
-
 def test_curves_reach_back_for_minutes_and_keep_their_peaks(page, station):
     """Numbers of five minutes come at once, and what is drawn of them has each part's largest and least."""
     now_s = station.newest.frame.time_s
@@ -150,7 +117,7 @@ def drawn(picture, page):
     return np.ptp(rows) / height, np.ptp(columns) / width
 
 
-def test_the_surface_fills_its_stage_the_screen_and_has_smooth_edges(page, still, picture):
+def test_the_surface_fills_its_stage_and_the_screen_has_smooth_edges_and_turns(page, still, picture):
     page.evaluate("scrollTo(0, 0)")
     assert page.evaluate("gelform.surface.gl.getContextAttributes().antialias")
     assert page.evaluate("gelform.surface.gl.getParameter(gelform.surface.gl.SAMPLES)") > 1
@@ -163,6 +130,11 @@ def test_the_surface_fills_its_stage_the_screen_and_has_smooth_edges(page, still
     until(lambda: page.locator("#stage").bounding_box() == {"x": 0, "y": 0, **page.viewport_size})
     until(lambda: max(drawn(picture, page)) > 0.7)
     assert page.is_visible("#reset-view")
+    before = picture(page, "#surface").astype(int)
+    page.focus("#surface")
+    for _ in range(4):
+        page.keyboard.press("ArrowRight")
+    until(lambda: np.abs(picture(page, "#surface") - before).mean() > 1)
     page.evaluate("document.fullscreenElement ? document.exitFullscreen() : null")
     page.keyboard.press("Escape")
     until(lambda: page.locator("#stage").bounding_box()["height"] < 700)
