@@ -174,9 +174,12 @@ def frames_of(images):
 
 
 def test_play_speed_loop_and_back_to_the_sensor(replayed, station):
-    station.player.set_speed(4)
-    station.player.loop(True)
-    actions.pause(replayed, station, False)
+    for asked in (
+        {"do": "speed", "speed": 4},
+        {"do": "loop", "loop": True},
+        {"do": "pause", "paused": False},
+    ):
+        done(replayed, {"station": 0, **asked})
     facts = until(lambda: (f := station.facts()["replay"]) and f["playing"] and f)
     assert (facts["speed"], facts["loop"], facts["count"]) == (4, True, 7)
     actions.pause(replayed, station, True)
@@ -341,19 +344,18 @@ def test_work_shows_its_progress_and_its_failure(hub, station):
     assert hub.notices[-1][1:] == ("error", "The disk is full.")
 
 
-def test_work_that_fails_as_nobody_expected_ends_too(hub, station, caplog):
+def test_an_error_that_nobody_expected_is_logged_and_one_about_a_file_names_it(
+    hub, station, tmp_path, caplog
+):
+    with pytest.raises(OSError) as problem:
+        (tmp_path / "none").read_text()
+    assert sentence_for_page(problem.value) == f"No such file or directory: {tmp_path / 'none'}."
+    assert not caplog.records
     hub.start(lambda _: {}["there is none"], station, "starting")
     until(lambda: not hub.facts()["work"])
     assert hub.notices[-1][1] == "error"
     assert "mistake in gelform, not yours: KeyError: 'there is none'" in hub.notices[-1][2]
     assert caplog.records[-1].exc_info[0] is KeyError
-
-
-def test_a_sentence_about_a_file_names_it(tmp_path, caplog):
-    with pytest.raises(OSError) as problem:
-        (tmp_path / "none").read_text()
-    assert sentence_for_page(problem.value) == f"No such file or directory: {tmp_path / 'none'}."
-    assert not caplog.records
 
 
 def test_frames_that_do_not_come_are_an_error(station):
@@ -400,30 +402,24 @@ def test_a_page_is_open_until_it_has_been_away_for_a_while():
     pages = Pages(lambda: now_s)
     assert not pages.is_open("page-one")
     pages.came("page-one")
+    pages.came("page-one")  # loaded anew: the new connection may come before the old one's end is heard of
+    now_s += 1000
+    assert pages.is_open("page-one")
+    pages.left("page-one")
     now_s += 1000
     assert pages.is_open("page-one")
     assert pages.any_connected
     pages.left("page-one")
     assert not pages.any_connected
+    now_s += 1
+    pages.came("page-one")  # back in time
+    now_s += 1000
+    assert pages.is_open("page-one")
+    pages.left("page-one")
     now_s += GRACE_S - 0.1
     assert pages.is_open("page-one")
     now_s += 0.2
     assert not pages.is_open("page-one")
-
-
-def test_a_page_that_was_loaded_anew_never_was_away():
-    now_s = 100.0
-    pages = Pages(lambda: now_s)
-    pages.came("page-one")
-    pages.came("page-one")  # the new connection may come before the old one's end is heard of
-    pages.left("page-one")
-    now_s += 1000
-    assert pages.is_open("page-one")
-    pages.left("page-one")
-    now_s += 1
-    pages.came("page-one")
-    now_s += 1000
-    assert pages.is_open("page-one")
 
 
 def test_what_is_no_name_is_nobodys():
