@@ -109,9 +109,8 @@ class Guard:
         repeated = any(len(headers.getlist(name)) > 1 for name in ("host", "origin", "sec-fetch-site"))
         if repeated or host is None or not self._access.host_allowed(host):
             return 421, "This server does not answer to that host. Open the address that the terminal shows."
-        foreign = scope["type"] == "websocket"
-        if origin is not None:
-            foreign = origin.lower() != f"http://{host.lower()}"
+        own = f"http://{host.lower()}"
+        foreign = scope["type"] == "websocket" if origin is None else origin.lower() != own
         # A user may follow a link to the page from anywhere, which only shows the page.
         visit = headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
         across = headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
