@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +19,7 @@ from gelform.image.agreement import check_untouched
 from gelform.image.background import USUAL_FRAMES
 from gelform.live.hub import GuideSession, Hub, starter_of_station
 from gelform.live.lists import shown_name
+from gelform.live.shown import Shown
 from gelform.live.station import SETTABLE, MovedSince, Opening, Setup, Station
 from gelform.sensors.films import open_film
 from gelform.sensors.record import Recorder, attached_background, attached_calibration
@@ -43,8 +43,7 @@ def take_background(hub: Hub, station: Station) -> None:
     if calibration.settings.starter is not None:
         take_starter(hub, station, calibration.settings.starter["sensor"])
         return
-    with _at_rest(station):
-        shown = station.next_frames(USUAL_FRAMES)
+    shown = _frames_at_rest(station)
     taken = background_from_frames([one.image for one in shown])
     contacts = [one.result.contact for one in shown if one.result is not None]
     check_untouched(taken.background, calibration.background, np.any(contacts, axis=0) if contacts else None)
@@ -70,8 +69,7 @@ def take_starter(hub: Hub, station: Station, sensor: str) -> None:
     if not name:
         raise GelformError("No starter is known for this camera. Choose the sensor in the list.")
     try:
-        with _at_rest(station):
-            frames = [shown.frame for shown in station.next_frames(USUAL_FRAMES)]
+        frames = [shown.frame for shown in _frames_at_rest(station)]
         serial = None if station.source is None else station.source.serial
         calibration = calibration_at_rest(name, frames, serial, station.setup.calibration)
         listed = f"starter {calibration.sensor_name}, sensor {station.number + 1}"
@@ -86,18 +84,16 @@ def take_starter(hub: Hub, station: Station, sensor: str) -> None:
     hub.changed()
 
 
-@contextmanager
-def _at_rest(station: Station) -> Iterator[None]:
-    """Keep a simulated sensor at rest meanwhile; the user keeps other sensors at rest."""
+def _frames_at_rest(station: Station) -> list[Shown]:
+    """The next frames for a background; a simulated sensor rests meanwhile, and the user keeps others at rest."""
     source = station.simulated
     if source is None:
-        yield
-        return
+        return station.next_frames(USUAL_FRAMES)
     before = source.resting
     source.rest()
     try:
         station.next_frames(4)  # that it made before it stopped
-        yield
+        return station.next_frames(USUAL_FRAMES)
     finally:
         source.rest(before)
 
