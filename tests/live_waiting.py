@@ -16,6 +16,15 @@ def until(true, timeout_s=HANGS_S):
     return given
 
 
+def next_of(socket, wanted, timeout_s=HANGS_S):
+    """The next message of a websocket, bytes or words, of which something is wanted: that."""
+    stop = time.monotonic() + timeout_s
+    while time.monotonic() < stop:
+        if found := wanted(socket.recv(timeout=timeout_s)):
+            return found
+    raise AssertionError("it did not come")
+
+
 def held(station, x_px, y_px, depth_mm):
     """Press the simulated sensor and keep it pressed; the first frame taken once the ball is all the way in."""
     station.source.press_at(x_px, y_px, depth_mm, held_s=600)

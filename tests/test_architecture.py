@@ -43,7 +43,6 @@ TESTED_TOGETHER = {
     "arrays.py": "test_architecture.py",  # mypy tests it
     "cli/commands/calibrations.py": "cli/commands/test_exchange.py",
     "cli/commands/force.py": "cli/commands/test_geometry.py",
-    "live/guide.py": "live/test_start.py",
     "robots/lerobot_depth.py": "robots/test_ros_messages.py",
     "simulate/presets.py": "simulate/test_press.py",
 }

@@ -5,14 +5,14 @@ from __future__ import annotations
 import threading
 
 import pytest
+from websockets.sync.client import connect
 
-from gelform.image.frame import Frame
+from gelform import Frame, Reconstructor
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations
 from gelform.live.shown import Shown
 from gelform.live.station import Setup, Station
 from gelform.live.web.server import listen
-from gelform.reconstruct import Reconstructor
 from gelform.sensors.simulated import SimulatedSource
 from live_waiting import until
 
@@ -29,7 +29,27 @@ def shown(press, result):
 
 
 @pytest.fixture
-def hub(sensor, calibration, library):
+def show():
+    """Starts a station on a source, in a hub of its own if none is given; returned once its first frame is shown."""
+    own, started = Hub(), []
+
+    def on(opening, hub=own, setup=None, watched=lambda: True, waits=True):
+        station = Station(len(hub.stations), "camera", opening, hub.changed, watched)
+        station.setup = setup or Setup()
+        hub.stations.append(station)
+        started.append(station)
+        station.start()
+        if waits:
+            until(lambda: station.newest)
+        return station
+
+    yield on
+    for station in started:
+        station.close()
+
+
+@pytest.fixture
+def hub(sensor, calibration, library, show):
     """A hub whose one station shows the simulated sensor at rest."""
     made = Hub(calibrations=Calibrations())
 
@@ -38,13 +58,15 @@ def hub(sensor, calibration, library):
         source.rest()
         return source
 
-    station = Station(0, "simulated", opened, made.changed)
-    station.setup = Setup().with_calibration(calibration, made.calibrations.add("mine", calibration))
-    made.stations.append(station)
-    station.start()
-    until(lambda: station.newest)
+    show(opened, made, Setup(calibration, made.calibrations.add("mine", calibration)))
     yield made
     made.close()
+
+
+@pytest.fixture
+def station(hub):
+    """The hub's station."""
+    return hub.stations[0]
 
 
 class Running:
@@ -58,6 +80,18 @@ class Running:
         self._thread = threading.Thread(target=self.server.run, args=(self.uvicorn,), daemon=True)
         self._thread.start()
         until(lambda: self.uvicorn.started)
+
+    def opened(self, **headers):
+        """A websocket as a page opens it, from the server's own origin by default."""
+        return connect(
+            f"ws://{self.address}/ws",
+            origin=headers.pop("origin", self.url),
+            additional_headers=headers,
+            compression=None,
+            max_size=None,
+            close_timeout=1,
+            proxy=None,
+        )
 
     def close(self):
         self.uvicorn.should_exit = True

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,15 +16,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelform.errors import CalibrationError, GelformError, SensorError
+from gelform import CalibrationError, GelformError, SensorError, open_source
 from gelform.live import actions
 from gelform.live.hub import Hub
-from gelform.live.lists import Calibrations, Devices, Recordings, camera_facts, set_camera
-from gelform.live.station import Station
+from gelform.live.lists import Calibrations, Devices, Recordings
+from gelform.live.station import Setup
 from gelform.live.web.client import text
 from gelform.sensors.cameras import SETTABLE, Camera
 from gelform.sensors.simulated import SimulatedSource
-from gelform.sensors.source import open_source
 from live_waiting import until
 from stream.ffmpeg_camera import FfmpegCamera, why_absent
 
@@ -46,29 +46,25 @@ class Adjustable(SimulatedSource):
 
 
 @pytest.fixture
-def adjustable(sensor):
+def adjustable(sensor, show):
     hub = Hub()
-    hub.stations.append(Station(0, "D1", lambda: Adjustable(sensor), hub.changed))
-    hub.stations[0].start()
-    until(lambda: hub.stations[0].newest)
-    yield hub
-    hub.close()
+    show(lambda: Adjustable(sensor), hub)
+    return hub
 
 
-def test_cameras_and_sources_are_listed_with_what_is_known(hub):
+def test_cameras_and_sources_are_listed_with_what_is_known(hub, station):
     devices = Devices(hub.stations, lambda: [LEFT, RIGHT])
     rows = until(lambda: (r := devices.facts()) and r[0]["rate_hz"] and r)
-    simulated = f"simulated {hub.stations[0].source.sensor.name}"
+    simulated = f"simulated {station.source.sensor.name}"
     assert [row["name"] for row in rows] == [simulated, "DIGIT", "DIGIT"]
-    assert [row["serial"] for row in rows] == [hub.stations[0].source.serial, "D1", "D2"]
-    assert rows[0]["state"] == "running"
+    assert [row["serial"] for row in rows] == [station.source.serial, "D1", "D2"]
+    assert [row["state"] for row in rows] == ["running", "not shown", "not shown"]
     assert rows[0]["age_ms"] < 10_000
     assert rows[0]["lost"] == 0 <= rows[0]["skipped"]
-    assert rows[1]["state"] == "not shown"
 
 
 @pytest.fixture
-def choice(hub):
+def choice(hub, station, show):
     """The hub with two cameras on its list; each is a camera of its own that serves one reader alone."""
     if why_absent() is not None:
         pytest.skip(str(why_absent()))
@@ -77,10 +73,7 @@ def choice(hub):
         hub.devices = Devices(
             hub.stations, lambda: [LEFT, RIGHT], lambda camera, _: open_source(urls[camera.serial])
         )
-        hub.stations.append(
-            Station(1, "second", lambda: SimulatedSource(hub.stations[0].source.sensor), hub.changed)
-        )
-        hub.stations[1].start()
+        show(lambda: SimulatedSource(station.source.sensor), hub)
         yield hub
 
 
@@ -88,111 +81,96 @@ def numbers_of(hub):
     return {row["serial"]: row["camera"] for row in hub.devices.facts() if row["camera"] is not None}
 
 
-def test_a_camera_of_the_list_is_shown_with_its_calibration_and_left_again(choice, calibration):
-    hub, station = choice, choice.stations[0]
-    name = hub.calibrations.add("of D2", replace(calibration, serial="D2"))
-    actions.show_camera(hub, 0, numbers_of(hub)["D2"])
+def test_a_camera_of_the_list_is_shown_with_its_calibration_and_left_again(choice, station, calibration):
+    name = choice.calibrations.add("of D2", replace(calibration, serial="D2"))
+    actions.show_camera(choice, station, numbers_of(choice)["D2"])
     until(lambda: not station.facts()["simulated"] and station.facts()["state"] == "running")
     assert station.setup.name == name
     assert station.facts()["opened"]
-    assert list(numbers_of(hub)) == ["D1"]  # the other one is not offered twice
-    assert hub.notices[-1][2].endswith("shows DIGIT, with its calibration of D2.")
-    actions.open_recording(hub, 0, "")
+    assert list(numbers_of(choice)) == ["D1"]  # the other one is not offered twice
+    assert choice.notices[-1][2].endswith("shows DIGIT, with its calibration of D2.")
+    actions.open_recording(choice, station, "")
     until(lambda: station.facts()["simulated"])
     assert station.setup.name == "mine"
-    assert set(numbers_of(hub)) == {"D1", "D2"}
-
-
-def test_a_camera_without_a_calibration_shows_its_image(choice):
-    actions.show_camera(choice, 0, numbers_of(choice)["D1"])
-    assert choice.stations[0].setup.calibration is None
+    assert set(numbers_of(choice)) == {"D1", "D2"}
+    actions.show_camera(choice, station, numbers_of(choice)["D1"])
+    assert station.setup.calibration is None
     assert "none in the list has its serial" in choice.notices[-1][2]
 
 
 def test_of_two_pages_that_want_one_camera_the_first_gets_it(choice):
-    number, said = numbers_of(choice)["D1"], []
-    begin = threading.Barrier(2)
+    number, begin = numbers_of(choice)["D1"], threading.Barrier(2)
 
     def ask(station):
         begin.wait()
         try:
             actions.show_camera(choice, station, number)
-            said.append("")
         except GelformError as problem:
-            said.append(str(problem))
+            return str(problem)
+        return ""
 
-    asking = [threading.Thread(target=ask, args=(station,)) for station in (0, 1)]
-    for one in asking:
-        one.start()
-    for one in asking:
-        one.join(20)
-    assert sorted(said)[0] == ""
-    assert "already shows DIGIT" in sorted(said)[1]
+    with ThreadPoolExecutor() as pages:
+        shown, refused = sorted(pages.map(ask, choice.stations))
+    assert shown == ""
+    assert "already shows DIGIT" in refused
 
 
-def test_a_camera_that_is_not_on_the_list_is_not_opened(hub):
+def test_a_camera_that_is_not_on_the_list_is_not_opened(hub, station):
     with pytest.raises(GelformError, match="no longer plugged in"):
-        actions.show_camera(hub, 0, 9)
-    assert hub.stations[0].facts()["simulated"]
+        actions.show_camera(hub, station, 9)
+    assert station.facts()["simulated"]
 
 
-def test_a_setting_is_set_read_back_and_told_to_everybody(adjustable):
-    actions.set_camera(adjustable, 0, "exposure", 80.0)
-    assert adjustable.notices[-1][2].endswith("80, read back.")
-    assert camera_facts(adjustable.stations[0])["settable"] == {"exposure": 80.0}
-    assert adjustable.stations[0].wanted == {"exposure": 80.0}
-
-
-def test_a_value_that_the_camera_does_not_take_is_not_remembered(adjustable):
+def test_a_setting_is_read_back_and_told_to_everybody_and_one_that_is_not_taken_is_not_remembered(adjustable):
+    (station,) = adjustable.stations
     with pytest.raises(SensorError, match="within"):
-        actions.set_camera(adjustable, 0, "exposure", 1e5)
-    assert adjustable.stations[0].wanted == {}
+        actions.set_camera(adjustable, station, "exposure", 1e5)
     with pytest.raises(GelformError, match="exposure, gain"):
-        set_camera(adjustable.stations[0], "fps", 10.0)
+        actions.set_camera(adjustable, station, "fps", 10.0)
+    assert station.opening.wanted == {}
+    actions.set_camera(adjustable, station, "exposure", 80.0)
+    assert adjustable.notices[-1][2].endswith("80, read back.")
+    assert station.facts()["settable"] == station.opening.wanted == {"exposure": 80.0}
 
 
-def test_a_source_without_settings_says_so(hub):
+def test_a_source_without_settings_says_so(hub, station):
     for name in SETTABLE:
         with pytest.raises(GelformError, match="Only a USB camera"):
-            actions.set_camera(hub, 0, name, 1.0)
-    assert camera_facts(hub.stations[0]) == {"settable": {}}
+            actions.set_camera(hub, station, name, 1.0)
+    assert station.facts()["settable"] == {}
 
 
 def test_a_camera_set_otherwise_than_calibrated_is_a_finding_of_its_results(adjustable, calibration):
-    station = adjustable.stations[0]
+    (station,) = adjustable.stations
     settings = {**calibration.settings} | {"camera": {"exposure": 50.0}}
-    station.setup = station.setup.with_calibration(replace(calibration, settings=settings), "mine")
+    station.setup = Setup(replace(calibration, settings=settings), "mine")
 
     def said():
         result = station.newest.result
         return result and [one.message for one in result.health if one.name == "settings_mismatch"]
 
     until(lambda: said() == [])
-    set_camera(station, "exposure", 60.0)
+    actions.set_camera(adjustable, station, "exposure", 60.0)
     (message,) = until(said)
     assert "exposure 60.0 instead of 50.0" in message
 
 
-@pytest.fixture
-def calibrations_folder(tmp_path, calibration):
-    calibration.save(tmp_path / "mine.npz")
-    (tmp_path / "other.npz").write_bytes(b"no calibration")
-    (tmp_path / "deep").mkdir()
-    calibration.save(tmp_path / "deep" / "mine.npz")
-    return tmp_path
-
-
-def test_a_folders_calibrations_are_offered_and_nothing_else(calibrations_folder, calibration):
-    known = Calibrations(folder=calibrations_folder)
+def test_a_folders_calibrations_are_offered_and_files_called_alike_keep_apart(tmp_path, calibration):
+    """What cannot be read, and what is not listed, is refused."""
+    mine, deep, other = (tmp_path / name for name in ("mine.npz", "deep/mine.npz", "other.npz"))
+    deep.parent.mkdir()
+    for path in (mine, deep):
+        calibration.save(path)
+    other.write_bytes(b"no calibration")
+    known = Calibrations(folder=tmp_path)
     assert known.names == ["mine.npz"]
     assert known["mine.npz"].digest == calibration.digest
-
-
-def test_files_that_are_called_alike_keep_apart(calibrations_folder):
-    known = Calibrations(
-        [calibrations_folder / "mine.npz", calibrations_folder / "deep" / "mine.npz"], calibrations_folder
-    )
-    assert known.names == ["mine.npz", "deep/mine.npz"]
+    assert Calibrations([mine, deep], tmp_path).names == ["mine.npz", "deep/mine.npz"]
+    for name in ("", "../mine.npz", "deep/mine.npz", "/etc/passwd", "mine.npz\0"):
+        with pytest.raises(GelformError, match="Choose one in the list"):
+            known[name]
+    with pytest.raises(CalibrationError):
+        Calibrations([other])["other.npz"]
 
 
 def test_what_was_made_here_gets_a_free_name(calibration):
@@ -204,14 +182,6 @@ def test_what_was_made_here_gets_a_free_name(calibration):
     assert len(known.names) == 2
     known.put("mine", another)
     assert known["mine"] is another
-
-
-def test_paths_and_files_that_cannot_be_read_are_refused(calibrations_folder):
-    for name in ("", "../mine.npz", "deep/mine.npz", "/etc/passwd", "mine.npz\0"):
-        with pytest.raises(GelformError, match="Choose one in the list"):
-            Calibrations(folder=calibrations_folder)[name]
-    with pytest.raises(CalibrationError):
-        Calibrations([calibrations_folder / "other.npz"])["other.npz"]
 
 
 def test_given_and_found_ones_are_listed_once(forms, tmp_path):
@@ -242,25 +212,21 @@ def odd_folder(forms, tmp_path, calibration):
     folder = tmp_path / "folder"
     (folder / "inner.mcap").mkdir(parents=True)
     recording = forms["mcap"].read_bytes()
-    for name in (
-        b"a\nb.mcap",
-        b"no\xfftext.mcap",
-        b"\xe2\x80\xaeb.mcap",
-        b"x" * 240 + b".mcap",
-        b"plain.mcap",
-    ):
-        Path(os.fsdecode(os.fsencode(folder) + b"/" + name)).write_bytes(recording)
+    odd = (b"a\nb", b"no\xfftext", b"\xe2\x80\xaeb", b"x" * 240, b"plain")
+    for name in odd:
+        Path(os.fsdecode(os.fsencode(folder) + b"/" + name + b".mcap")).write_bytes(recording)
     (tmp_path / "secret.mcap").write_bytes(recording)
     calibration.save(tmp_path / "secret.npz")
     calibration.save(folder / "own.npz")
-    for name, target in (
-        ("out.mcap", tmp_path / "secret.mcap"),
-        ("out.npz", tmp_path / "secret.npz"),
-        ("self.mcap", folder / "self.mcap"),
-        ("self.npz", folder / "self.npz"),
-        ("gone.mcap", folder / "none.mcap"),
-        ("device.mcap", Path("/dev/zero")),
-    ):
+    targets = {
+        "out.mcap": tmp_path / "secret.mcap",
+        "out.npz": tmp_path / "secret.npz",
+        "self.mcap": folder / "self.mcap",
+        "self.npz": folder / "self.npz",
+        "gone.mcap": folder / "none.mcap",
+        "device.mcap": Path("/dev/zero"),
+    }
+    for name, target in targets.items():
         (folder / name).symlink_to(target)
     os.mkfifo(folder / "pipe.mcap")
     return folder

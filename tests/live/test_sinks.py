@@ -22,14 +22,16 @@ from gelform.live.sinks import HOST, SINKS, Feeder, FoxgloveSink, RerunSink, fee
 from live_waiting import until
 
 
-class Slow:
-    """Shows a frame when it is let."""
+class Recorded:
+    """Shows frames, each when it is let; or fails at its first one."""
 
-    def __init__(self):
+    def __init__(self, fails=None):
         self.let, self.busy, self.closed = threading.Event(), threading.Event(), False
-        self.serials, self.names = [], set()
+        self.serials, self.names, self._fails = [], set(), fails
 
     def show(self, name, shown):
+        if self._fails is not None:
+            raise self._fails
         self.busy.set()
         assert self.let.wait(10)
         self.serials.append(shown.serial)
@@ -39,8 +41,8 @@ class Slow:
         self.closed = True
 
 
-def test_a_slow_sink_is_given_the_newest_and_holds_nobody_up(hub):
-    sink, station = Slow(), hub.stations[0]
+def test_a_slow_sink_is_given_the_newest_and_holds_nobody_up(hub, station):
+    sink = Recorded()
     feeder = Feeder(hub, sink, "slow")
     assert sink.busy.wait(10)
     assert hub.watched()
@@ -53,25 +55,11 @@ def test_a_slow_sink_is_given_the_newest_and_holds_nobody_up(hub):
     assert sink.serials[0] <= held
     assert sink.serials[1] >= passed_over
     assert sink.serials == sorted(set(sink.serials))
-    assert sink.names == {"sensor_0"}
-    assert sink.closed
-    assert hub.sinks == 0
+    assert (sink.names, sink.closed, hub.sinks) == ({"sensor_0"}, True, 0)
 
 
-class Broken:
-    """Fails at its first frame."""
-
-    closed = False
-
-    def show(self, name, shown):
-        raise RuntimeError("the other program is gone")
-
-    def close(self):
-        self.closed = True
-
-
-def test_a_sink_that_fails_is_a_notice_and_the_page_goes_on(hub):
-    sink, station = Broken(), hub.stations[0]
+def test_a_sink_that_fails_is_a_notice_and_the_page_goes_on(hub, station):
+    sink = Recorded(fails=RuntimeError("the other program is gone"))
     Feeder(hub, sink, "rerun")
     until(lambda: sink.closed)
     assert hub.sinks == 0
@@ -81,10 +69,9 @@ def test_a_sink_that_fails_is_a_notice_and_the_page_goes_on(hub):
 
 
 @pytest.mark.parametrize("paused", [False, True])
-def test_it_closes_whether_or_not_frames_come(hub, paused):
-    sink = Slow()
+def test_it_closes_whether_or_not_frames_come(hub, station, paused):
+    sink, station.paused = Recorded(), paused
     sink.let.set()
-    hub.stations[0].paused = paused
     Feeder(hub, sink, "slow").close()
     assert sink.closed
 

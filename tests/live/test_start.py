@@ -18,25 +18,22 @@ import numpy as np
 import pytest
 from websockets.sync.client import connect
 
+from gelform import CalibrationError, DataError, GelformError, load_calibration
 from gelform.calibration.library.library import add_calibration
 from gelform.calibration.starters import load_starter
-from gelform.calibration_file import load_calibration
-from gelform.errors import CalibrationError, DataError, GelformError
 from gelform.exchange.plots import save_picture
 from gelform.live import actions
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations
-from gelform.live.start import Options, start
-from gelform.live.station import Station
+from gelform.live.start import start
 from gelform.sensors import cameras as plugged_in
 from gelform.sensors.cameras import Camera
-from gelform.sensors.films import open_film
-from live_waiting import until
+from live_waiting import next_of, until
 from made.sources import ImageSource, MjpegServer, jpeg, part
 
 
 def test_without_arguments_the_simulated_sensor_is_shown_calibrated():
-    with closing(start(Options(rate_hz=30))) as hub:
+    with closing(start(rate_hz=30)) as hub:
         shown = until(lambda: hub.stations[0].newest)
         assert shown.image.shape == (240, 320, 3)
         until(lambda: hub.stations[0].newest.result is not None)
@@ -50,16 +47,23 @@ def test_without_arguments_the_simulated_sensor_is_shown_calibrated():
         (["simulated:three-edge"], [], ValueError, "three-edges"),
         (["nowhere/none.mp4"], [], DataError, r"none\.mp4"),
         (["seq"], [], DataError, r"No camera, file or folder seq\. Check the path"),
+        (["D1", "D1"], [], DataError, "'D1' twice"),
+        (["D1", "simulated", "DIGIT"], [], DataError, "'D1' and 'DIGIT', which is one camera"),
+        (["http://127.0.0.1:9/a"] * 2, [], DataError, "'http://127.0.0.1:9/a' twice"),
+        (["NO-SUCH-SERIAL-7"] * 2, [], DataError, "'NO-SUCH-SERIAL-7' twice"),
     ],
 )
-def test_mistakes_are_said_at_once(tmp_path, sources, calibrations, error, said):
+def test_mistakes_are_said_at_once(tmp_path, sources, calibrations, error, said, monkeypatch):
+    monkeypatch.setattr(plugged_in, "cameras_there", lambda: [Camera("DIGIT", "/dev/video0", "D1")])
     with pytest.raises(error, match=said):
-        start(Options(sources, [tmp_path / name for name in calibrations]))
+        start(sources, [tmp_path / name for name in calibrations])
 
 
-def test_a_camera_that_is_not_there_is_said_and_waited_for():
-    with closing(start(Options(["NO-SUCH-SERIAL-7"]))) as hub:
-        assert "tries again" in hub.notices[0][2]
+def test_a_camera_that_is_not_there_is_said_and_waited_for_also_without_a_library(monkeypatch):
+    monkeypatch.setenv("GELFORM_CALIBRATIONS", "relative")
+    with closing(start(["NO-SUCH-SERIAL-7"])) as hub:
+        assert "Expected an absolute path in GELFORM_CALIBRATIONS" in hub.notices[0][2]
+        assert "tries again" in hub.notices[1][2]
         until(lambda: hub.stations[0].facts()["reason"])
         assert hub.stations[0].facts()["state"] == "missing"
 
@@ -67,46 +71,34 @@ def test_a_camera_that_is_not_there_is_said_and_waited_for():
 def test_the_password_of_a_camera_is_shown_nowhere():
     with MjpegServer([part(jpeg()), 0.1] * 40) as server:
         spec = server.url.replace("//", "//eve:hidden@")
-        with closing(start(Options([spec]))) as hub:
+        with closing(start([spec])) as hub:
             until(lambda: hub.stations[0].newest)
             facts = [hub.facts()]
         until(lambda: server.requests)
         assert b"Basic" in server.requests[0]
-    with closing(start(Options([spec]))) as hub:  # nothing answers any more
+    with closing(start([spec])) as hub:  # nothing answers any more
         until(lambda: hub.stations[0].facts()["reason"])
         facts.append(hub.facts())
     for one in facts:
         assert one["stations"][0]["spec"] == server.url
         assert "hidden" not in json.dumps(one)
     with pytest.raises(DataError, match="twice") as refused:
-        start(Options([spec, spec]))
+        start([spec, spec])
     assert "hidden" not in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("specs", "said"),
-    [
-        (["D1", "D1"], "'D1' twice"),
-        (["D1", "simulated", "DIGIT"], "'D1' and 'DIGIT', which is one camera"),
-        (["http://127.0.0.1:9/a"] * 2, "'http://127.0.0.1:9/a' twice"),
-        (["NO-SUCH-SERIAL-7"] * 2, "'NO-SUCH-SERIAL-7' twice"),
-    ],
-)
-def test_a_camera_is_named_once(specs, said, monkeypatch):
-    monkeypatch.setattr(plugged_in, "cameras_there", lambda: [Camera("DIGIT", "/dev/video0", "D1")])
-    with pytest.raises(DataError, match=said):
-        start(Options(specs))
-
-
-def test_a_folder_plays_once_and_stays_at_its_end(tmp_path, simulated, calibration):
+def test_a_folder_waits_for_the_first_page_plays_once_and_stays_at_its_end(tmp_path, simulated, calibration):
     for k, press in enumerate(simulated.presses[:4]):
         save_picture(tmp_path / f"{k}.png", press.image)
     calibration.save(tmp_path / "mine.npz")
-    with closing(start(Options([str(tmp_path)], [tmp_path / "mine.npz"]))) as hub:
+    with closing(start([str(tmp_path)], [tmp_path / "mine.npz"])) as hub:
         station = hub.stations[0]
-        hub.sinks += 1  # as a page, for which it waits
+        until(lambda: station.newest)
+        time.sleep(0.4)  # ten frames
+        assert station.player.facts()["number"] == 0
+        hub.sinks += 1  # as a page
         until(lambda: (r := station.facts()["replay"]) and not r["playing"] and r["number"] == 3)
-        until(lambda: (one := station.newest) and one.frame.number == 3 and one.result)
+        until(lambda: station.newest.frame.number == 3 and station.newest.result)
         assert station.facts()["state"] == "running"  # held, not lost
         assert hub.recordings.facts()[0]["name"] == tmp_path.name
 
@@ -115,18 +107,14 @@ def test_a_folder_of_blue_green_red_frames_is_shown_in_rgb_and_has_its_controls(
     image = simulated.presses[0].image
     for k in range(2):
         save_picture(tmp_path / f"{k}.png", image[..., ::-1])
-    with closing(start(Options([str(tmp_path)], bgr=True))) as hub:
-        station = hub.stations[0]
+    with closing(start([str(tmp_path)], bgr=True)) as hub:
+        (station,) = hub.stations
         until(lambda: station.player)
         station.pause(True)
         assert not station.player.playing
         station.player.seek(1)
         until(lambda: (one := station.newest) and one.frame.number == 1)
         np.testing.assert_array_equal(station.newest.frame.image, image)
-        hub.folder = tmp_path
-        actions.share(hub, 0)
-        shared = until(lambda: next(tmp_path.glob("shared*.mcap"), None))
-        np.testing.assert_array_equal(open_film(shared)[1].image, image)
 
 
 def test_bgr_holds_for_recordings_that_are_opened_later_and_not_for_the_pages_own(tmp_path, simulated):
@@ -135,20 +123,20 @@ def test_bgr_holds_for_recordings_that_are_opened_later_and_not_for_the_pages_ow
     given, later = tmp_path / "given.npy", tmp_path / "later.npy"
     for path in (given, later):
         np.save(path, np.stack([image[..., ::-1]] * 2))
-    with closing(start(Options([str(given)], folder=tmp_path, bgr=True))) as hub:
-        station = hub.stations[0]
+    with closing(start([str(given)], folder=tmp_path, bgr=True)) as hub:
+        (station,) = hub.stations
         until(lambda: station.player)
-        actions.share(hub, 0)
+        actions.share(hub, station)
         shared = until(lambda: next(tmp_path.glob("shared*.mcap"), None))
         for path in (later, shared):
-            actions.open_recording(hub, 0, hub.recordings.add(path))
+            actions.open_recording(hub, station, hub.recordings.add(path))
             until(lambda path=path: station.player and station.player.recording.path == path)
-            np.testing.assert_array_equal(station.player.recording[0].image, image)
+            np.testing.assert_array_equal(station.player.recording[1].image, image)
 
 
 @pytest.mark.slow
 def test_two_simulated_sensors_are_touched_apart_from_each_other():
-    with closing(start(Options(["simulated", "simulated"], rate_hz=20))) as hub:
+    with closing(start(["simulated", "simulated"], rate_hz=20)) as hub:
         until(lambda: all(station.newest and station.newest.result for station in hub.stations))
         first, second = (station.source for station in hub.stations)
         assert (first.image_at(7) != second.image_at(7)).mean() > 0.2
@@ -160,14 +148,13 @@ def test_a_camera_that_another_program_has_is_said_with_its_name(tmp_path, monke
     shared = Path("/dev/shm")
     if not sys.platform.startswith("linux") or not shared.is_dir():
         pytest.skip("needs Linux with /dev/shm")
-    monkeypatch.setattr(
-        plugged_in, "_is_video_device", lambda path: True
-    )  # the kernel knows that it is a file
+    # The kernel knows that it is a file.
+    monkeypatch.setattr(plugged_in, "_is_video_device", lambda path: True)
     camera = shared / f"gelform-test-{tmp_path.name}"
     camera.write_bytes(b"")
     with camera.open("rb") as held, subprocess.Popen(["sleep", "60"], stdin=held) as other:
         try:
-            hub = start(Options([str(camera)]))
+            hub = start([str(camera)])
             hub.close()
             assert f"in use by sleep (process {other.pid})" in hub.notices[0][2]
             assert "Close the other program" in hub.notices[0][2]
@@ -182,9 +169,7 @@ def test_what_calibrates_is_imported_when_it_is_needed():
     loaded = "import sys, gelform.live.start, gelform.live.web.app; print(*sys.modules)"
     run = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
     light = ("gelform.calibration.library", "gelform.calibration.starters")
-    heavy = [
-        name for name in run.stdout.split() if name.startswith(("gelform.calibration.", "scipy.optimize"))
-    ]
+    heavy = [one for one in run.stdout.split() if one.startswith(("gelform.calibration.", "scipy.optimize"))]
     assert not [name for name in heavy if not name.startswith(light)]
 
 
@@ -194,30 +179,15 @@ def test_the_newest_calibration_of_the_camera_is_taken_from_the_library(library,
         made = replace(calibration, serial=serial, gel_id=gel, created_utc=f"2026-11-0{gel}T00:00:00+00:00")
         add_calibration(made)
     (library / "damaged.npz").write_text("none")
-    hub = start(Options(["D1"]))
-    try:
+    with closing(start(["D1"])) as hub:
         assert hub.stations[0].setup.calibration.gel_id == "2"
         assert "(gel 2, of 2026-11-02 00:00)" in hub.notices[-1][2]
         assert len(hub.calibrations.names) == 3
-    finally:
-        hub.close()
 
 
-def test_without_a_library_the_page_starts_and_says_so(monkeypatch):
-    monkeypatch.setenv("GELFORM_CALIBRATIONS", "relative")
-    with closing(start(Options(["NO-SUCH-SERIAL-7"]))) as hub:
-        assert "Expected an absolute path in GELFORM_CALIBRATIONS" in hub.notices[0][2]
-
-
-def words_until(socket, wanted, timeout_s=120):
+def words_until(socket, wanted):
     """The first facts of the page of which something is wanted."""
-    stop = time.monotonic() + timeout_s
-    while time.monotonic() < stop:
-        data = socket.recv(timeout=timeout_s)
-        facts = json.loads(data) if isinstance(data, str) else {}
-        if found := wanted(facts):
-            return found
-    raise AssertionError("it did not come")
+    return next_of(socket, lambda data: isinstance(data, str) and wanted(json.loads(data)))
 
 
 @contextmanager
@@ -227,10 +197,8 @@ def live_running(folder):
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         try:
             url = running.stdout.readline().strip()
-            address = url.replace("http", "ws") + "ws"
-            with connect(
-                address, origin=url.rstrip("/"), compression=None, max_size=None, proxy=None
-            ) as socket:
+            address, origin = url.replace("http", "ws") + "ws", url.rstrip("/")
+            with connect(address, origin=origin, compression=None, max_size=None, proxy=None) as socket:
                 yield socket
         finally:
             running.send_signal(signal.SIGINT)
@@ -244,13 +212,16 @@ def test_what_the_guide_saves_is_in_use_after_a_restart_without_a_flag(library, 
         (station,) = facts.get("stations") or [{}]
         return station.get("rate_hz") and station["calibration"]
 
+    def guide(facts):
+        return (facts.get("guides") or {}).get("0", {})
+
     with live_running(tmp_path / "first") as socket:
         assert words_until(socket, used) == "simulated sensor three-edges"
         ask = {"do": "guide_start", "station": 0, "ball_diameter_mm": 5.0, "profile": "", "mm_per_px": 0.0}
         socket.send(json.dumps(ask))
-        words_until(socket, lambda facts: (facts.get("guides") or {}).get("0", {}).get("can_fit"))
+        words_until(socket, lambda facts: guide(facts).get("can_fit"))
         socket.send(json.dumps({"do": "guide_fit", "station": 0}))
-        words_until(socket, lambda facts: (facts.get("guides") or {}).get("0", {}).get("step") == "report")
+        words_until(socket, lambda facts: guide(facts).get("step") == "report")
         assert not list(library.glob("*")), "only when it is used"
         socket.send(json.dumps({"do": "guide_use", "station": 0}))
         kept = words_until(socket, lambda facts: (name := used(facts)) and name.endswith(".npz") and name)
@@ -260,39 +231,22 @@ def test_what_the_guide_saves_is_in_use_after_a_restart_without_a_flag(library, 
     assert load_calibration(library / kept).serial == "simulated-three-edges"
 
 
-def test_a_folder_waits_for_the_first_page(tmp_path):
-    for k in range(40):
-        save_picture(tmp_path / f"{k:02d}.png", np.full((48, 64, 3), 90, np.uint8))
-    with closing(start(Options([str(tmp_path)]))) as hub:
-        until(lambda: hub.stations[0].newest)
-        time.sleep(0.4)  # ten frames
-        assert hub.stations[0].player.facts()["number"] == 0
-        hub.sinks += 1  # as a page
-        until(lambda: hub.stations[0].player.facts()["number"] > 2)
-
-
 MAKE = "simulated-three-edges"
 
 
 @pytest.fixture
-def never(unpressed):
-    """A hub whose one station is a camera that was never calibrated; its `source.images` are what it shows."""
-    made, source = Hub(), ImageSource(unpressed[0.0], rate_hz=40)
+def never(unpressed, show):
+    """A hub whose one station is a camera that was never calibrated; its source's images are what it shows."""
+    hub, source = Hub(), ImageSource(unpressed[0.0], rate_hz=40)
     source.serial = "S1"
-    station = Station(0, "camera", lambda: source, made.changed)
-    made.stations.append(station)
-    station.start()
-    until(lambda: station.newest)
-    yield made, source
-    made.close()
+    show(lambda: source, hub)
+    return hub
 
 
-def show(never, images):
-    """Let the camera show other images, and wait until those that were on their way are through."""
-    hub, source = never
-    source.images = images
-    after = hub.stations[0].newest.serial + 4
-    until(lambda: hub.stations[0].newest.serial >= after)
+def let_see(station, images):
+    """Let the camera see something else, and wait until the images that were on their way are through."""
+    station.source.images, after = images, station.newest.serial + 4
+    until(lambda: station.newest.serial >= after)
 
 
 def said(hub):
@@ -300,176 +254,150 @@ def said(hub):
 
 
 def test_the_untouched_gel_is_asked_for_and_depth_follows(never, unpressed):
-    hub, _ = never
-    station = hub.stations[0]
-    assert said(hub) == {"state": "ask", "sensor": "", "make": "", "said": []}
+    (station,) = never.stations
+    assert said(never) == {"state": "ask", "sensor": "", "make": "", "said": []}
     with pytest.raises(GelformError, match="Choose the sensor in the list"):
-        actions.take_starter(hub, 0, "")
+        actions.take_starter(never, station, "")
     station.sensor = MAKE
-    assert said(hub)["sensor"] == said(hub)["make"] == MAKE
-    actions.take_starter(hub, 0, "")
-    show(never, unpressed[0.4])
+    assert said(never)["sensor"] == said(never)["make"] == MAKE
+    actions.take_starter(never, station, "")
+    let_see(station, unpressed[0.4])
     until(lambda: station.newest.numbers and station.newest.numbers.peak > 0.3)
-    assert said(hub)["state"] == "used"
-    assert said(hub)["percent"] == pytest.approx(100 * load_starter(MAKE).spread)
+    assert said(never)["state"] == "used"
+    assert said(never)["percent"] == pytest.approx(100 * load_starter(MAKE).spread)
     assert "starter" in [name for name, *_ in station.newest.header()["health"]]
     assert station.setup.calibration.serial == "S1"
-    assert hub.calibrations.names == [station.setup.name]
-
-
-def test_something_that_moves_is_said_and_it_is_taken_again(never, unpressed):
-    hub, _ = never
-    show(never, [*unpressed[0.0], *unpressed[0.4]])
-    actions.take_starter(hub, 0, MAKE)
-    assert said(hub)["state"] == "ask"
-    assert "Something moves" in said(hub)["said"][0]
-    show(never, unpressed[0.0])
-    actions.take_starter(hub, 0, MAKE)
-    assert said(hub)["said"] == []
-    first = hub.stations[0].setup.calibration
-    show(never, [image // 2 for image in unpressed[0.0]])
-    actions.take_background(hub, 0)  # the lamps are half as bright: the starter is brought to them
-    second = hub.stations[0].setup.calibration
-    assert second.background.mean() < 0.6 * first.background.mean()
-    assert len(hub.calibrations.names) == 1
-    actions.undo_background(hub, 0)
-    assert hub.stations[0].setup.calibration is first is hub.calibrations[hub.stations[0].setup.name]
-
-
-def test_a_pressed_gel_is_no_background(never, unpressed):
-    hub, _ = never
-    show(never, unpressed[0.4])
-    actions.take_starter(hub, 0, MAKE)
-    assert said(hub)["state"] == "ask"
-    assert "Something touches the gel" in said(hub)["said"][0]
-
-
-def test_another_make_is_said(never):
-    hub, _ = never
-    actions.take_starter(hub, 0, "digit")
-    assert "background of a DIGIT" in said(hub)["said"][0]
-    actions.take_starter(hub, 0, "gelsight-mini")
-    assert "background of a GelSight Mini" in said(hub)["said"][0]
-    assert said(hub)["state"] == "ask"
-
-
-def test_a_scratched_gel_is_said_beside_the_depth(never, unpressed):
-    hub, _ = never
-    scratched = [image.copy() for image in unpressed[0.0]]
-    for image in scratched:
-        image[100:112] //= 8
-    show(never, scratched)
-    actions.take_starter(hub, 0, MAKE)
-    assert any("scratched" in one for one in said(hub)["said"])
-
-
-def test_the_guide_takes_its_scale(never):
-    hub, _ = never
-    actions.take_starter(hub, 0, MAKE)
-    actions.guide_start(hub, 0, 5.0, MAKE, 0.5)
-    known = hub.guides[0].guide.settings
-    assert known.mm_per_px == load_starter(MAKE).calibration.mm_per_px
+    assert never.calibrations.names == [station.setup.name]
+    actions.guide_start(never, station, 5.0, MAKE, 0.5)
+    known = never.guides[0].guide.settings
+    assert known.mm_per_px == load_starter(MAKE).calibration.mm_per_px, "the starter's"
     assert (known.name, known.serial) == (MAKE, "S1")
 
 
+def test_something_that_moves_is_said_and_it_is_taken_again(never, unpressed):
+    (station,) = never.stations
+    let_see(station, [*unpressed[0.0], *unpressed[0.4]])
+    actions.take_starter(never, station, MAKE)
+    assert said(never)["state"] == "ask"
+    assert "Something moves" in said(never)["said"][0]
+    let_see(station, unpressed[0.0])
+    actions.take_starter(never, station, MAKE)
+    assert said(never)["said"] == []
+    first = station.setup.calibration
+    let_see(station, [image // 2 for image in unpressed[0.0]])
+    actions.take_background(never, station)  # its lamps are half as bright: the starter is brought to them
+    assert station.setup.calibration.background.mean() < 0.6 * first.background.mean()
+    assert len(never.calibrations.names) == 1
+    actions.undo_background(never, station)
+    assert station.setup.calibration is first is never.calibrations[station.setup.name]
+
+
+def test_a_pressed_gel_and_another_make_are_refused_with_the_reason(never, unpressed):
+    (station,) = never.stations
+    for make, sees, words in (
+        ("digit", 0.0, "background of a DIGIT"),
+        ("gelsight-mini", 0.0, "background of a GelSight Mini"),
+        (MAKE, 0.4, "Something touches the gel"),
+    ):
+        let_see(station, unpressed[sees])
+        actions.take_starter(never, station, make)
+        assert said(never)["state"] == "ask"
+        assert words in said(never)["said"][0]
+
+
+def test_a_scratched_gel_is_said_beside_the_depth(never, unpressed):
+    scratched = np.array(unpressed[0.0])
+    scratched[:, 100:112] //= 8
+    let_see(never.stations[0], list(scratched))
+    actions.take_starter(never, never.stations[0], MAKE)
+    assert any("scratched" in one for one in said(never)["said"])
+
+
 def test_a_make_that_was_named_is_asked_for_instead_of_calibrated():
-    hub = start(Options(rate_hz=30, sensor=MAKE))
-    try:
+    with closing(start(rate_hz=30, sensor=MAKE)) as hub:
+        (station,) = hub.stations
         assert not hub.work
         assert said(hub)["sensor"] == MAKE
-        until(lambda: hub.stations[0].newest)
-        actions.take_starter(hub, 0, "")  # the simulated sensor rests meanwhile
+        until(lambda: station.newest)
+        actions.take_starter(hub, station, "")  # the simulated sensor rests meanwhile
         assert said(hub)["state"] == "used"
-        until(lambda: hub.stations[0].newest.result)
-    finally:
-        hub.close()
+        until(lambda: station.newest.result)
 
 
-def test_a_press_is_made_where_the_guide_asks_and_counts(hub, tmp_path):
+@pytest.fixture
+def guide(hub, station, tmp_path):
+    """The guide of the hub's station, begun."""
     hub.folder = tmp_path
-    actions.guide_start(hub, 0, 5.0, "", 0.0)
-    guide = hub.guides[0].guide
+    actions.guide_start(hub, station, 5.0, "", 0.0)
+    return hub.guides[0].guide
+
+
+@pytest.fixture
+def fits(guide, presses, calibration, monkeypatch):
+    """The guide, which fits the calibration of the sensor whatever was pressed."""
+    monkeypatch.setattr(guide, "presses", lambda: presses)
+    monkeypatch.setattr("gelform.calibration.guide.calibrate", lambda *_, **__: calibration)
+    return guide
+
+
+def test_a_press_is_made_where_the_guide_asks_and_counts(hub, station, guide):
     until(lambda: guide.target)
     x, y = guide.target.x_px, guide.target.y_px
     until(lambda: guide.count >= 1)
     assert guide.facts()["accepted"][0][:2] == pytest.approx((x, y), abs=4)
-    hub.end_guide(0)
+    hub.end_guide(station)
     assert not hub.guides
-    assert not hub.stations[0].taps
+    assert not station.taps
 
 
-def test_what_was_fitted_is_reported_and_used(hub, tmp_path, library, presses, calibration, monkeypatch):
-    hub.folder = tmp_path
-    actions.guide_start(hub, 0, 5.0, "", 0.0)
-    session = hub.guides[0]
+def test_what_was_fitted_is_reported_and_used(hub, station, library, fits, calibration):
     with pytest.raises(GelformError, match="no calibration to use"):
-        actions.guide_use(hub, 0)
-    monkeypatch.setattr(session.guide, "presses", lambda: presses)
-    monkeypatch.setattr("gelform.calibration.guide.calibrate", lambda *_, **__: calibration)
-    session.guide.fit(hub.folder)
-    assert session.guide.step == "report"
-    assert session.guide.facts()["report"]["folder"] == session.guide.made.folder.name
+        actions.guide_use(hub, station)
+    fits.fit(hub.folder)
+    assert fits.step == "report"
+    assert fits.facts()["report"]["folder"] == fits.made.folder.name
     assert not list(library.glob("*"))
-    actions.guide_use(hub, 0)
-    assert hub.stations[0].setup.calibration.digest == calibration.digest
+    actions.guide_use(hub, station)
+    assert station.setup.calibration.digest == calibration.digest
     (kept,) = library.iterdir()
-    assert hub.stations[0].setup.name == kept.name
+    assert station.setup.name == kept.name
     assert "The library has it too" in hub.notices[-1][2]
 
 
-def test_what_is_not_used_is_used_nowhere(hub, tmp_path, library, presses, calibration, monkeypatch):
-    hub.folder, before = tmp_path, hub.stations[0].setup
-    monkeypatch.setattr("gelform.calibration.guide.calibrate", lambda *_, **__: calibration)
-    actions.guide_start(hub, 0, 5.0, "", 0.0)
-    guide = hub.guides[0].guide
-    monkeypatch.setattr(guide, "presses", lambda: presses)
-    guide.fit(hub.folder)
-    folder = guide.made.folder
-    listed = hub.calibrations.names
-    actions.guide_stop(hub, 0)
+def test_what_is_not_used_is_used_nowhere(hub, station, library, fits):
+    before, listed = station.setup, hub.calibrations.names
+    fits.fit(hub.folder)
+    folder = fits.made.folder
+    actions.guide_stop(hub, station)
     assert not hub.guides
     assert not list(library.glob("*"))
-    assert hub.stations[0].setup is before
+    assert station.setup is before
     assert hub.calibrations.names == listed
-    assert Calibrations(folder=tmp_path, library=library).names == [], "nor after a restart"
+    assert Calibrations(folder=hub.folder, library=library).names == [], "nor after a restart"
     assert folder.name in hub.notices[-1][2]
     assert (folder / "presses.csv").exists()
 
 
 @pytest.mark.slow
-def test_after_the_report_more_presses_are_made_at_its_places(
-    hub, tmp_path, presses, calibration, monkeypatch
-):
-    hub.folder = tmp_path
-    monkeypatch.setattr("gelform.calibration.guide.calibrate", lambda *_, **__: calibration)
-    actions.guide_start(hub, 0, 5.0, "", 0.0)
-    guide = hub.guides[0].guide
-    until(lambda: guide.step == "press")
+def test_after_the_report_more_presses_are_made_at_its_places(hub, station, fits):
+    until(lambda: fits.step == "press")
     with pytest.raises(GelformError, match="no report yet"):
-        actions.guide_more(hub, 0)
-    guide.wanted = 0
-    monkeypatch.setattr(guide, "presses", lambda: presses)
-    guide.fit(hub.folder)
-    count, marked = guide.count, guide.places
-    assert marked == guide.made.places
-    actions.guide_more(hub, 0)
-    assert (guide.step, guide.made, guide.places, guide.wanted) == (
-        "press",
-        None,
-        marked,
-        count + len(marked),
-    )
+        actions.guide_more(hub, station)
+    fits.wanted = 0
+    fits.fit(hub.folder)
+    count, marked = fits.count, fits.places
+    assert marked == fits.made.places
+    actions.guide_more(hub, station)
+    assert (fits.step, fits.made, fits.places) == ("press", None, marked)
+    assert fits.wanted == count + len(marked)
     with pytest.raises(GelformError, match="Press Fit now first"):
-        actions.guide_use(hub, 0)
-    until(lambda: guide.count > count)
-    assert guide.facts()["accepted"][count][:2] == pytest.approx((marked[0].x_px, marked[0].y_px), abs=4)
+        actions.guide_use(hub, station)
+    until(lambda: fits.count > count)
+    assert fits.facts()["accepted"][count][:2] == pytest.approx((marked[0].x_px, marked[0].y_px), abs=4)
 
 
-def test_a_fit_that_does_not_succeed_asks_for_more(hub, tmp_path):
-    hub.folder = tmp_path
-    actions.guide_start(hub, 0, 5.0, "", 0.0)
-    session = hub.guides[0]
+def test_a_fit_that_does_not_succeed_asks_for_more(hub, guide):
     with pytest.raises(GelformError):
-        session.guide.fit(hub.folder)
-    assert session.guide.step == "background"
-    until(lambda: session.guide.step == "press")
+        guide.fit(hub.folder)
+    assert guide.step == "background"
+    until(lambda: guide.step == "press")

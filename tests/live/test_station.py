@@ -3,7 +3,6 @@
 A station on a source that fails, is late, disappears and returns: it continues, and reports its state.
 """
 
-import contextlib
 import threading
 import time
 from dataclasses import replace
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 
 from gelform.errors import CalibrationError, SensorError, SourceLostError
-from gelform.image.frame import Frame
+from gelform.live.hub import Hub
 from gelform.live.station import UNWATCHED_S, MovedSince, Setup, Station
 from gelform.motion.between import FOUND, LOST, UNSURE
 from gelform.motion.surface import pose_of_step
@@ -20,6 +19,7 @@ from gelform.sensors.record import Recorder
 from gelform.simulate import simulate_background
 from live_waiting import until
 from made.rigid_contacts import MM_PER_PX, SHAPE, ball, contact_of, cylinder, pose, texture
+from made.sources import ImageSource
 
 STEPS = [(0.3 * k - 1.5, -0.1 * k, 1.5 * k) for k in range(4)]  # mm, mm, degrees
 FRAMES = [contact_of(texture(), pose(x, y, yaw=yaw), seed=k) for k, (x, y, yaw) in enumerate(STEPS)]
@@ -103,59 +103,17 @@ def test_without_a_scale_there_is_no_motion():
     assert "scale" in found["why"]
 
 
-class Scripted:
-    """A live source of gray images that does what the test says."""
-
-    name, serial, settings, live, rate_hz = "scripted", "S1", {"fps": 100.0}, True, 100.0
-
-    def __init__(self, script, shape=(132, 176)):
-        self._script, self._closed, self._shape = script, threading.Event(), shape
-
-    def __iter__(self):
-        for index in range(10**6):
-            if self._closed.is_set():
-                return
-            self._script(index)
-            yield Frame(np.full((*self._shape, 3), 90, np.uint8), time.monotonic(), time.time_ns(), index)
-            time.sleep(0.002)
-
-    def close(self):
-        self._closed.set()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.close()
+GRAY = [np.full((132, 176, 3), 90, np.uint8)]
 
 
-@contextlib.contextmanager
-def started(opener):
-    station = Station(0, "scripted", opener, lambda: None)
-    station.start()
-    with contextlib.closing(station):
-        yield station
+def test_a_frame_of_another_size_shows_with_the_reason(show, calibration):
+    shown = show(lambda: ImageSource([GRAY[0][:100, :100]]), setup=Setup(calibration, "mine")).newest
+    assert shown.result is None
+    assert "100" in shown.problem
+    assert "132" in shown.problem
 
 
-def test_it_shows_the_image_without_a_calibration():
-    with started(lambda: Scripted(lambda index: None)) as station:
-        shown = until(lambda: station.newest)
-        assert shown.result is None
-        assert shown.image.shape == (132, 176, 3)
-        assert station.facts()["state"] == "running"
-        until(lambda: station.rate_hz > 0)
-
-
-def test_a_frame_of_another_size_shows_with_the_reason(calibration):
-    with started(lambda: Scripted(lambda index: None, (100, 100))) as station:
-        station.setup = Setup().with_calibration(calibration, "mine")
-        shown = until(lambda: station.newest if station.newest and station.newest.problem else None)
-        assert shown.result is None
-        assert "100" in shown.problem
-        assert "132" in shown.problem
-
-
-def test_a_camera_that_is_not_there_is_waited_for(monkeypatch):
+def test_a_camera_that_is_not_there_is_waited_for(show, monkeypatch):
     monkeypatch.setattr("gelform.live.station.RETRY_S", 0.05)
     tries = []
 
@@ -163,64 +121,53 @@ def test_a_camera_that_is_not_there_is_waited_for(monkeypatch):
         tries.append(1)
         if len(tries) < 4:
             raise SensorError("Expected a camera, found none. Plug it in.")
-        return Scripted(lambda index: None)
+        return ImageSource(GRAY)
 
-    with started(opener) as station:
-        until(lambda: station.facts()["reason"])
-        assert station.facts()["state"] == "missing"
-        assert "Plug it in" in station.facts()["reason"]
-        until(lambda: station.newest)
-        assert station.facts()["state"] == "running"
-
-
-def test_a_camera_that_goes_away_comes_back():
-    lost = threading.Event()
-
-    def script(index):
-        if lost.is_set():
-            raise SourceLostError("The camera was unplugged.")
-
-    with started(lambda: Scripted(script)) as station:
-        until(lambda: station.newest)
-        lost.set()
-        until(lambda: station.facts()["state"] == "reconnecting")
-        before = station.newest.serial
-        lost.clear()
-        until(lambda: station.newest.serial > before and station.facts()["state"] == "running")
-        assert station.facts()["reopened"] >= 1
+    station = show(opener, waits=False)
+    until(lambda: station.facts()["reason"])
+    assert station.facts()["state"] == "missing"
+    assert "Plug it in" in station.facts()["reason"]
+    shown = until(lambda: station.newest)
+    assert (shown.result, shown.image.shape) == (None, (132, 176, 3)), "without a calibration its image"
+    until(lambda: station.facts()["rate_hz"] > 0)
+    assert station.facts()["state"] == "running"
 
 
-def test_while_nobody_looks_few_frames_are_reconstructed_and_recorders_get_all(tmp_path):
-    looking, times_s = threading.Event(), []
-    station = Station(
-        0,
-        "scripted",
-        lambda: Scripted(lambda index: time.sleep(0.008)),  # 100 Hz, with which a busy machine keeps up
-        lambda: times_s.append(station.newest.frame.time_s),
-        looking.is_set,
-    )
-    station.start()
-    try:
-        until(lambda: len(times_s) > 8)
-        # A frame is a little older than its reconstruction.
-        assert np.median(np.diff(times_s)) >= 0.9 * UNWATCHED_S
-        recorder = Recorder(station.grabber, tmp_path)
-        recorder.start()
-        until(lambda: recorder.stats.frames > 40)
-        recorder.close()
-        assert recorder.stats.missing == 0
-        assert recorder.stats.duration_s / recorder.stats.frames < UNWATCHED_S / 2
-        looking.set()
-        until(lambda: np.diff(times_s[-20:]).min() < UNWATCHED_S / 2)
-        looking.clear()
-        until(lambda: np.median(np.diff(times_s[-6:])) >= 0.9 * UNWATCHED_S)
-        station.taps.append(lambda shown: None)  # a guide, or frames that are averaged
-        until(lambda: np.diff(times_s[-4:]).max() < UNWATCHED_S / 2)
-    finally:
-        station.close()
+def test_a_camera_that_goes_away_comes_back(show):
+    failing = {}
+    station = show(lambda: ImageSource(GRAY, **failing))
+    failing |= {"count": 0, "fails": SourceLostError("The camera was unplugged.")}
+    vars(station.source).update(failing)
+    until(lambda: station.facts()["state"] == "reconnecting")
+    before = station.newest.serial
+    failing.clear()
+    until(lambda: station.newest.serial > before and station.facts()["state"] == "running")
+    assert station.facts()["reopened"] >= 1
 
 
-class Counted(Scripted):
+def test_while_nobody_looks_few_frames_are_reconstructed_and_recorders_get_all(show, tmp_path):
+    looking, hub, times_s = threading.Event(), Hub(), []
+    hub.listen(lambda: times_s.append(hub.stations[0].newest.frame.time_s))
+    # At 100 Hz, with which a busy machine keeps up.
+    station = show(lambda: ImageSource(GRAY), hub, watched=looking.is_set)
+    until(lambda: len(times_s) > 8)
+    # A frame is a little older than its reconstruction.
+    assert np.median(np.diff(times_s)) >= 0.9 * UNWATCHED_S
+    recorder = Recorder(station.grabber, tmp_path)
+    recorder.start()
+    until(lambda: recorder.stats.frames > 40)
+    recorder.close()
+    assert recorder.stats.missing == 0
+    assert recorder.stats.duration_s / recorder.stats.frames < UNWATCHED_S / 2
+    looking.set()
+    until(lambda: np.diff(times_s[-20:]).min() < UNWATCHED_S / 2)
+    looking.clear()
+    until(lambda: np.median(np.diff(times_s[-6:])) >= 0.9 * UNWATCHED_S)
+    station.taps.append(lambda shown: None)  # a guide, or frames that are averaged
+    until(lambda: np.diff(times_s[-4:]).max() < UNWATCHED_S / 2)
+
+
+class Counted(ImageSource):
     """Its own count has a gap after every second frame; the reconstruction of each takes as long as four frames."""
 
     def __iter__(self):
@@ -228,40 +175,33 @@ class Counted(Scripted):
             yield replace(frame, index=frame.index + frame.index // 2)
 
 
-def test_frames_that_never_came_are_lost_and_those_passed_over_are_skipped():
-    station = Station(0, "scripted", lambda: Counted(lambda index: None), lambda: None)
-    indices = []
-    station.taps.append(lambda shown: indices.append(shown.frame.index) or time.sleep(0.001))
-    reconstructed = station.reconstructed
-    station.reconstructed = lambda frame, timed: time.sleep(0.008) or reconstructed(frame, timed)
-    station.start()
-    try:
-        until(lambda: len(indices) > 30)
-        station.pause(True)
-        seen, counted = station.grabber.stats, station.facts()
-        assert seen.drops / 3 <= counted["lost"] / 2 < seen.frames / 3
-        passed_over = indices[-1] - indices[0] + 1 - len(indices)
-        assert counted["skipped"] + counted["lost"] == pytest.approx(passed_over, abs=12)
-        assert counted["skipped"] > counted["lost"]
-        time.sleep(0.3)  # what is not wanted is not skipped
-        station.pause(False)
-        until(lambda: len(indices) > 40)
-        more = indices[-1] - indices[0] + 1 - len(indices)
-        assert station.skipped + counted["lost"] < more - 50
-    finally:
-        station.close()
+def test_frames_that_never_came_are_lost_and_those_passed_over_are_skipped(show, monkeypatch):
+    reconstructed, hub, indices = Station.reconstructed, Hub(), []
+    monkeypatch.setattr(Station, "reconstructed", lambda *given: time.sleep(0.008) or reconstructed(*given))
+    hub.listen(lambda: indices.append(hub.stations[0].newest.frame.index) or time.sleep(0.001))
+    station = show(lambda: Counted(GRAY, rate_hz=500.0), hub)
+    until(lambda: len(indices) > 30)
+    station.pause(True)
+    seen, counted = station.grabber.stats, station.facts()
+    assert seen.drops / 3 <= counted["lost"] / 2 < seen.frames / 3
+    passed_over = indices[-1] - indices[0] + 1 - len(indices)
+    assert counted["skipped"] + counted["lost"] == pytest.approx(passed_over, abs=12)
+    assert counted["skipped"] > counted["lost"]
+    time.sleep(0.3)  # what is not wanted is not skipped
+    station.pause(False)
+    until(lambda: len(indices) > 40)
+    more = indices[-1] - indices[0] + 1 - len(indices)
+    assert station.skipped + counted["lost"] < more - 50
 
 
-def test_numbers_are_those_of_every_result(hub):
-    station = hub.stations[0]
+def test_numbers_are_those_of_every_result(station):
     until(lambda: len(station.numbers_since(0)) > 5)
     serials = [row[0] for row in station.numbers_since(0)]
     assert serials == list(range(serials[0], serials[0] + len(serials)))
     assert station.numbers_since(serials[-3])[0][0] == serials[-2]
 
 
-def test_paused_it_holds_the_picture(hub):
-    station = hub.stations[0]
+def test_paused_it_holds_the_picture(station):
     station.paused = True
     time.sleep(0.4)
     held = station.newest.serial
@@ -273,19 +213,19 @@ def test_paused_it_holds_the_picture(hub):
 
 def test_a_background_is_used_and_given_back_and_another_sensors_is_refused(calibration, sensor):
     today = simulate_background(sensor, np.random.default_rng(8)).astype(np.float32)
-    setup = Setup().with_calibration(calibration, "mine").with_background(today)
+    setup = Setup(calibration, "mine", background=today)
     with pytest.raises(CalibrationError):
-        setup.with_background(calibration.background[..., ::-1].copy())
+        replace(setup, background=calibration.background[..., ::-1].copy())
     assert not setup.memory.reconstruct.own_background
-    assert setup.with_solver("dct").background is today
-    assert setup.with_background(None).memory.reconstruct.own_background
+    assert replace(setup, solver="dct").background is today
+    assert replace(setup, background=None).memory.reconstruct.own_background
 
 
 def test_a_setup_for_another_sequence_has_forgotten_what_the_last_one_taught(calibration):
-    setup = Setup().with_calibration(calibration, "mine")
+    setup = Setup(calibration, "mine")
     setup.memory.reconstruct = setup.memory.reconstruct.with_background(calibration.background + 3)
     setup.memory.zero = setup.memory.reconstruct.from_image(calibration.background)
-    fresh = setup.anew()
+    fresh = replace(setup)
     np.testing.assert_array_equal(fresh.memory.reconstruct.background, calibration.background)
     assert (fresh.memory.zero, fresh.name) == (None, "mine")
-    assert Setup().anew() == Setup()
+    assert replace(Setup()) == Setup()

@@ -3,48 +3,38 @@
 from __future__ import annotations
 
 import logging
+import math
 import re
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from gelform import __version__
+from gelform import GelformError
 from gelform.calibration.starters import make_name, starter_names, starter_of_source
 from gelform.depth.solvers import SOLVERS
-from gelform.errors import GelformError
 from gelform.foundations.findings import Progress
-from gelform.live.lists import Calibrations, Devices, Recordings, camera_facts
+from gelform.live.lists import Calibrations, Devices, Recordings
 from gelform.live.shown import Shown, Snapshots
 from gelform.live.station import Station
 from gelform.sensors.profiles import PROFILES
 from gelform.sensors.record import Recorder
 
 if TYPE_CHECKING:
-    from gelform.live.guide import GuideSession
+    from gelform.calibration.guide import Guide
 
 # Seconds for which a page without a connection counts as open: a page that was reloaded or lost its network is back by
 # then (it gives up a silent connection after 5 s, and tries again at least every 4 s).
 GRACE_S = 10.0
-NAME = re.compile(r"[0-9a-z-]{8,64}")
-NOTICES = 20  # notices that are kept
-TURN_S = 0.25  # s that an action waits for another one of its sensor; those that only set something take milliseconds
-LOOK_S = 0.25  # s between looks at a sensor whose frames are awaited
 BUSY = "This sensor is busy. Wait until it is done."
 
 
 class Pages:
-    """Connections of pages by the page's name; methods may be called in any thread.
-
-    Parameters
-    ----------
-    clock : replaceable, to run faster or slower than real time
-    """
+    """Connections of pages by the page's name; methods may be called in any thread. `clock` is replaceable, for tests."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -70,10 +60,7 @@ class Pages:
     def is_open(self, name: str) -> bool:
         """Whether a page is connected, or was a moment ago and may be reloading."""
         with self._lock:
-            if name in self._connections:
-                return True
-            left_s = self._left_s.get(name)
-            return left_s is not None and self._clock() - left_s < GRACE_S
+            return name in self._connections or self._clock() - self._left_s.get(name, -math.inf) < GRACE_S
 
     @property
     def any_connected(self) -> bool:
@@ -83,41 +70,27 @@ class Pages:
 
 def page_named(given: str) -> str:
     """The name that a page states; "" for an invalid one, and such a page has no identity."""
-    return given if NAME.fullmatch(given) else ""
+    return given if re.fullmatch("[0-9a-z-]{8,64}", given) else ""
 
 
 @dataclass
 class Hub:
-    """The stations and their shared state.
+    """The stations and their shared state."""
 
-    Attributes
-    ----------
-    stations : in the order of the command line
-    calibrations : to choose from
-    recordings : to open and to download
-    snapshots : kept frames
-    guides : guided calibrations by the station's number
-    recorders : current recordings by the station's number
-    pages : the open pages
-    sinks : number of other programs that show the same results
-    folder : folder for calibrations and recordings
-    bgr : whether frames that do not state it are blue, green, red
-    work : (what, done, total) of long work by the station's number, for the progress display
-    notices : (number, level, text), the newest last; level is "info", "warning" or "error"
-    """
-
-    stations: list[Station] = field(default_factory=list)
-    calibrations: Calibrations = field(default_factory=Calibrations)
-    recordings: Recordings = field(default_factory=Recordings)
+    stations: list[Station] = field(default_factory=list)  # in the order of the command line
+    calibrations: Calibrations = field(default_factory=Calibrations)  # to choose from
+    recordings: Recordings = field(default_factory=Recordings)  # to open and to download
+    snapshots: Snapshots = field(default_factory=Snapshots)  # kept frames
+    # By the station's number: what, done and total of long work; guided calibrations; current recordings.
     work: dict[int, tuple[str, int, int]] = field(default_factory=dict)
-    snapshots: Snapshots = field(default_factory=Snapshots)
     guides: dict[int, GuideSession] = field(default_factory=dict)
     recorders: dict[int, Recorder] = field(default_factory=dict)
-    pages: Pages = field(default_factory=Pages)
-    sinks: int = 0
-    folder: Path = Path(".")
-    bgr: bool = False
-    notices: deque[tuple[int, str, str]] = field(default_factory=lambda: deque(maxlen=NOTICES))
+    pages: Pages = field(default_factory=Pages)  # that are open
+    sinks: int = 0  # number of other programs that show the same results
+    folder: Path = Path(".")  # for calibrations and recordings
+    bgr: bool = False  # whether frames that do not state it are blue, green, red
+    # (number, level, text), the newest last; level is "info", "warning" or "error".
+    notices: deque[tuple[int, str, str]] = field(default_factory=lambda: deque(maxlen=20))
     _listeners: list[Callable[[], None]] = field(default_factory=list)
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _noticed: int = 0
@@ -145,28 +118,28 @@ class Hub:
             self.notices.append((self._noticed, level, " ".join(text.split())))
         self.changed()
 
-    def station(self, number: int) -> Station:
-        """The station with a number; GelformError if there is none."""
+    @contextmanager
+    def turn(self, number: int, wait_s: float = 0.25) -> Iterator[Station]:
+        """The station with a number, to change it: one at a time, whichever page asks.
+
+        GelformError: there is none, or another change lasts longer than the wait; those that only set something take
+        milliseconds.
+        """
         if not 0 <= number < len(self.stations):
             raise GelformError(f"There is no sensor {number}.")
-        return self.stations[number]
-
-    @contextmanager
-    def turn(self, number: int, wait_s: float = TURN_S) -> Iterator[None]:
-        """Context for a change of a station: one at a time, whichever page asks; GelformError if another one lasts."""
-        lock = self.station(number).turn
-        if not lock.acquire(timeout=wait_s):
+        station = self.stations[number]
+        if not station.turn.acquire(timeout=wait_s):
             raise GelformError(BUSY)
         try:
-            yield
+            yield station
         finally:
-            lock.release()
+            station.turn.release()
 
-    def start(self, work: Callable[[Progress], None], station: int, what: str) -> None:
+    def start(self, work: Callable[[Progress], None], station: Station, what: str) -> None:
         """Do long work in a new thread and show its progress; errors become notices."""
 
         def report(done: int, total: int, what: str) -> None:
-            self.work[station] = (what, done, total)
+            self.work[station.number] = (what, done, total)
             self.changed()
 
         def run() -> None:
@@ -175,26 +148,31 @@ class Hub:
             except Exception as problem:  # nobody waits for this thread
                 self.notice(sentence_for_page(problem), "error")
             finally:
-                self.work.pop(station, None)
+                self.work.pop(station.number, None)
                 self.changed()
 
         self.check_idle(station)
-        self.work[station] = (what, 0, 1)
+        self.work[station.number] = (what, 0, 1)
         threading.Thread(target=run, name=what, daemon=True).start()
 
-    def end_guide(self, station: int) -> None:
+    def check_idle(self, station: Station) -> None:
+        """Raise GelformError during long work of a station."""
+        if station.number in self.work:
+            raise GelformError(BUSY)
+
+    def end_guide(self, station: Station) -> None:
         """End the guided calibration of a station; presses without a fit are discarded."""
-        session = self.guides.pop(station, None)
+        session = self.guides.pop(station.number, None)
         if session is not None:
             session.close()
         self.changed()
 
-    def recorded(self, station: int, ended: Recorder) -> None:
+    def recorded(self, station: Station, ended: Recorder) -> None:
         """Add a finished recording to the list, once, and announce it."""
         with self._lock:
-            if self.recorders.get(station) is not ended:
+            if self.recorders.get(station.number) is not ended:
                 return
-            del self.recorders[station]
+            del self.recorders[station.number]
         said = f"Recorded {ended.stats.frames} frames: {ended.path.name}"
         if ended.stats.frames:
             self.recordings.add(ended.path)
@@ -202,32 +180,19 @@ class Hub:
             said = ""
         self.notice(f"{ended.problem} {said}".strip(), "warning" if ended.problem else "info")
 
-    def check_idle(self, station: int) -> None:
-        """Raise GelformError during long work of a station."""
-        if station in self.work:
-            raise GelformError(BUSY)
-
     def facts(self, notices_after: int = 0) -> dict[str, Any]:
         """The state for the page, besides frames."""
         return {
-            "version": __version__,
             "now_s": time.monotonic(),
-            "stations": [
-                station.facts() | camera_facts(station) | {"starter": starter_facts(station)}
-                for station in self.stations
-            ],
-            "starters": starters(),
+            "stations": [one.facts() | {"starter": starter_facts(one)} for one in self.stations],
+            "starters": [[name, make_name(name)] for name in starter_names()],
             "calibrations": self.calibrations.names,
             "solvers": ["auto", *SOLVERS],
             "guides": {number: session.guide.facts() for number, session in tuple(self.guides.items())},
             "files": self.recordings.facts(),
             "devices": self.devices.facts(),
             "recordings": {
-                number: {
-                    "frames": one.stats.frames,
-                    "seconds": one.stats.duration_s,
-                    "bytes": one.stats.written_bytes,
-                }
+                number: {"frames": one.stats.frames, "bytes": one.stats.written_bytes}
                 for number, one in tuple(self.recorders.items())
             },
             "profiles": [[name, profile.name, profile.mm_per_px] for name, profile in PROFILES.items()],
@@ -243,33 +208,6 @@ class Hub:
             station.close()
 
 
-def wait_for_frames(station: Station, count: int, timeout_s: float = 15.0) -> list[Shown]:
-    """The next frames of a station, from the camera.
-
-    Raises
-    ------
-    GelformError
-        They do not arrive in time, or the station shows no frames now; the message says why.
-    """
-    got: SimpleQueue[Shown] = SimpleQueue()
-    found: list[Shown] = []
-    until_s = time.monotonic() + timeout_s
-    station.taps.append(got.put)
-    try:
-        while len(found) < count:
-            if why := station.silence:
-                raise GelformError(why)
-            if (left_s := until_s - time.monotonic()) <= 0:
-                raise GelformError(
-                    f"Expected {count} frames within {timeout_s:g} s, got {len(found)}. Is the camera connected?"
-                )
-            with suppress(Empty):
-                found.append(got.get(timeout=min(LOOK_S, left_s)))
-    finally:
-        station.taps.remove(got.put)
-    return found
-
-
 def sentence_for_page(problem: Exception) -> str:
     """What a page says about the exception of an action, on one line; one that nobody expected is logged too."""
     if isinstance(problem, (GelformError, ValueError)):
@@ -282,25 +220,16 @@ def sentence_for_page(problem: Exception) -> str:
     return " ".join(said.split())
 
 
-def starters() -> list[list[str]]:
-    """[name, display name] of the makes with a starter."""
-    return [[name, make_name(name)] for name in starter_names()]
-
-
 def starter_facts(station: Station) -> dict[str, Any] | None:
     """The starter's state for the page: `ask` for the gel at rest, or `used`; None for a calibrated unit.
 
     `sensor` is the starter's name, empty if the make is unknown; `said` are sentences for the user.
     """
-    calibration, problem = station.setup.calibration, station.starter_problem
+    calibration = station.setup.calibration
+    problem = [station.starter_problem] if station.starter_problem else []
     if calibration is None:
         sensor = starter_of_station(station)
-        return {
-            "state": "ask",
-            "sensor": sensor,
-            "make": make_name(sensor),
-            "said": [problem] if problem else [],
-        }
+        return {"state": "ask", "sensor": sensor, "make": make_name(sensor), "said": problem}
     record = calibration.settings.starter
     if record is None:
         return None
@@ -310,10 +239,49 @@ def starter_facts(station: Station) -> dict[str, Any] | None:
         "sensor": record["sensor"],
         "make": calibration.sensor_name,
         "percent": 100 * calibration.unit_spread,
-        "said": [*said, *([problem] if problem else [])],
+        "said": [*said, *problem],
     }
 
 
 def starter_of_station(station: Station) -> str:
     """The starter that the station was started with, else that of its camera's make; "" if neither is known."""
     return station.sensor or (starter_of_source(station.source) if station.source is not None else None) or ""
+
+
+RIM_FRACTIONS = (0.45, 0.6, 0.52)  # contact radius over ball radius of successive simulated presses
+HELD_S = 20.0  # s, longest simulated press; it is lifted once accepted, which takes long on a slow machine
+
+
+class GuideSession:
+    """A guided calibration that gets a station's frames; the simulated sensor is pressed at the suggested places."""
+
+    def __init__(self, station: Station, guide: Guide) -> None:
+        self.guide, self._station, self._simulated = guide, station, station.simulated
+        self._pressed_s, self._pressed = 0.0, -1
+        if self._simulated is not None:
+            self._simulated.rest()
+        station.taps.append(self._tap)
+
+    def close(self) -> None:
+        """Stop receiving frames; the simulated sensor continues its program."""
+        if self._tap in self._station.taps:
+            self._station.taps.remove(self._tap)
+        if self._simulated is not None:
+            self._simulated.rest(False)
+
+    def _tap(self, shown: Shown) -> None:
+        """Look at a frame, and press the simulated sensor once for each target."""
+        guide, now = self.guide, time.monotonic()
+        guide.look_at(shown.frame)
+        target, waiting = guide.target, now - self._pressed_s < HELD_S and self._pressed == guide.count
+        if guide.step != "press" or self._simulated is None or target is None or waiting or guide.enough:
+            return
+        if self._pressed != guide.count:
+            self._pressed, self._pressed_s = guide.count, now - HELD_S + 0.5  # s between presses
+            self._simulated.lift()
+            return
+        self._pressed_s = now
+        radius = guide.ball_diameter_mm / 2
+        fraction = RIM_FRACTIONS[guide.count % len(RIM_FRACTIONS)]
+        depth = 0.9 * radius * fraction**2 + 0.05  # mm; a spherical cap has 0.5 in the place of 0.9
+        self._simulated.press_at(target.x_px, target.y_px, depth, ball_diameter_mm=2 * radius, held_s=HELD_S)

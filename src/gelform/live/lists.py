@@ -1,7 +1,8 @@
-"""The lists that the page chooses from, by names made here: devices and their settings, calibrations, recordings."""
+"""The lists that the page chooses from, by names made here: devices, calibrations, recordings."""
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import time
@@ -10,20 +11,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from gelform.calibration.library.library import Unit, described, is_same
-from gelform.calibration_file import Calibration, is_calibration, load_calibration
-from gelform.errors import GelformError
+from gelform import Calibration, GelformError, load_calibration
+from gelform.calibration.library.library import Unit, is_same
+from gelform.calibration_file import is_calibration
 from gelform.live.station import Opening, Setup, Station
-from gelform.sensors.cameras import CONTROLS, Camera, UsbCamera, cameras_in_sysfs
+from gelform.sensors.cameras import Camera, UsbCamera, cameras_in_sysfs
 from gelform.sensors.films import films_in
 from gelform.sensors.source import Source
-
-LOOK_EVERY_S = 0.5  # s between searches for connected cameras
-NOT_SHOWN = "not shown"  # state of a connected camera that no station shows
-
-SETTABLE = (*CONTROLS, "led_level")
-
-Opener = Callable[[Camera, Mapping[str, float | str]], Source]
 
 
 def listed_cameras() -> list[Camera]:
@@ -32,46 +26,41 @@ def listed_cameras() -> list[Camera]:
 
 
 class Devices:
-    """The connected or open devices.
+    """The connected cameras, and the sources of the hub's stations except recordings.
 
     A camera's number is assigned at its first appearance, and stays with its USB socket. Pages never send a path.
-
-    Parameters
-    ----------
-    stations : the hub's stations; their sources are listed, except recordings
-    cameras : lists the connected cameras
-    open_camera : opens one of them, with settings
+    `cameras` lists the connected ones, and `open_camera` opens one of them, with settings.
     """
 
     def __init__(
         self,
         stations: Sequence[Station],
         cameras: Callable[[], Sequence[Camera]] = listed_cameras,
-        open_camera: Opener = UsbCamera,
+        open_camera: Callable[[Camera, Mapping[str, float | str]], Source] = UsbCamera,
     ) -> None:
         self._stations, self._cameras, self._open_camera = stations, cameras, open_camera
         self._lock, self._showing = threading.Lock(), threading.Lock()
         self._numbers: dict[str, int] = {}
-        self._looked_s, self._there = float("-inf"), tuple[Camera, ...]()
+        self._looked_s, self._there = float("-inf"), dict[int, Camera]()
 
-    def cameras(self) -> tuple[Camera, ...]:
-        """The connected cameras."""
-        return self._plugged_in()
+    def cameras(self) -> dict[int, Camera]:
+        """The connected cameras by their numbers, searched for at most twice a second."""
+        with self._lock:
+            if time.monotonic() - self._looked_s > 0.5:
+                self._looked_s, numbers = time.monotonic(), self._numbers
+                self._there = {numbers.setdefault(_key(one), len(numbers)): one for one in self._cameras()}
+            return self._there
 
     def camera(self, number: int) -> Camera:
         """The camera with a number of the list; GelformError if it is not connected."""
-        for camera in self._plugged_in():
-            if self._number(camera) == number:
-                return camera
-        raise GelformError("That camera is no longer plugged in. Choose another one in the list.")
+        if (found := self.cameras().get(number)) is None:
+            raise GelformError("That camera is no longer plugged in. Choose another one in the list.")
+        return found
 
     def show(self, station: Station, camera: Camera, setup: Setup) -> None:
         """Show a camera on a station; if several pages ask at once, the first one gets it.
 
-        Raises
-        ------
-        GelformError
-            The camera is already shown, and only one reader can have its pictures.
+        GelformError: the camera is already shown, and only one reader can have its pictures.
         """
         with self._showing:
             for other in tuple(self._stations):
@@ -84,53 +73,14 @@ class Devices:
             station.show(opening, setup)
 
     def facts(self) -> list[dict[str, Any]]:
-        """The rows of the page's list."""
-        rows = [_row_of_station(one) for one in tuple(self._stations) if one.player is None]
-        shown = {_key(one.camera) for one in tuple(self._stations) if one.camera is not None}
-        others = [camera for camera in self._plugged_in() if _key(camera) not in shown]
-        numbered = [(self._number(camera), camera) for camera in others]
-        return rows + [
-            _row(f"camera {number}", camera.name, camera.serial, NOT_SHOWN, camera=number)
-            for number, camera in numbered
+        """The rows of the page's list: the stations' sources, and the connected cameras that no station shows."""
+        stations = tuple(self._stations)
+        shown = {_key(one.camera) for one in stations if one.camera is not None}
+        return [_row_of_station(one) for one in stations if one.player is None] + [
+            _row(f"camera {number}", one.name, one.serial, "not shown", camera=number)
+            for number, one in self.cameras().items()
+            if _key(one) not in shown
         ]
-
-    def _number(self, camera: Camera) -> int:
-        with self._lock:
-            return self._numbers.setdefault(_key(camera), len(self._numbers))
-
-    def _plugged_in(self) -> tuple[Camera, ...]:
-        with self._lock:
-            if time.monotonic() - self._looked_s > LOOK_EVERY_S:
-                self._looked_s, self._there = time.monotonic(), tuple(self._cameras())
-            return self._there
-
-
-def set_camera(station: Station, name: str, value: float) -> float:
-    """Set one setting of a station's camera; return its new value. It is set again when the camera is reopened.
-
-    Raises
-    ------
-    GelformError
-        The source has no settings, the setting does not exist, or the camera rejects the value.
-    """
-    source: Any = station.source
-    if not hasattr(source, "set_controls"):
-        what = station.spec if source is None else source.name
-        raise GelformError(
-            f"{what} has no settings that the page can change. Only a USB camera of this machine has."
-        )
-    if name not in SETTABLE:
-        raise GelformError(f"Expected a setting among {', '.join(SETTABLE)}.")
-    found = source.set_controls({name: value})
-    station.wanted[name] = value
-    return float(found[name])
-
-
-def camera_facts(station: Station) -> dict[str, Any]:
-    """The settings that can be changed, as read back; a result's findings name those that differ from the calibration."""
-    source: Any = station.source
-    settings = dict(source.settings) if hasattr(source, "set_controls") else {}
-    return {"settable": {name: settings[name] for name in SETTABLE if name in settings}}
 
 
 def _row_of_station(station: Station) -> dict[str, Any]:
@@ -154,17 +104,8 @@ def _key(camera: Camera) -> str:
     return camera.by_path or camera.path
 
 
-LONGEST_NAME = 150  # letters of a listed name; a page's message holds 200
-
-
 class Calibrations:
-    """Calibrations by name: given ones, those of a folder, those made while the page is open.
-
-    Parameters
-    ----------
-    given : paths from the command line
-    folder, library : more folders of calibrations, or None
-    """
+    """Calibrations by name: given files, those of two folders, those made while the page is open."""
 
     def __init__(
         self, given: Iterable[Path] = (), folder: Path | None = None, library: Path | None = None
@@ -172,12 +113,9 @@ class Calibrations:
         self._lock = threading.Lock()
         self._paths: dict[str, Path | None] = {}
         self._loaded: dict[str, Calibration] = {}
-        for path in given:
+        found = [path for place in (folder, library) for path in files_of(place) if path.suffix == ".npz"]
+        for path in (*given, *filter(is_calibration, found)):
             self.add_file(path)
-        for place in (folder, library):
-            for path in files_of(place):
-                if path.suffix == ".npz" and is_calibration(path):
-                    self.add_file(path)
 
     @property
     def names(self) -> list[str]:
@@ -223,18 +161,8 @@ class Calibrations:
                 found.append((in_use, calibration.created_utc, name))
         return max(found)[2] if found else None
 
-    def described(self, name: str) -> str:
-        """The name of a calibration, its gel and date, for a sentence."""
-        return described(name, self[name])
-
     def __getitem__(self, name: str) -> Calibration:
-        """The calibration with a name.
-
-        Raises
-        ------
-        GelformError
-            The name is unknown, or the file cannot be read.
-        """
+        """The calibration with a name; GelformError if the name is unknown, or the file cannot be read."""
         with self._lock:
             if name in self._loaded:
                 return self._loaded[name]
@@ -248,23 +176,15 @@ class Calibrations:
 
 
 class Recordings:
-    """Recordings by name: those of the command line, those of a folder, those made while the page is open.
-
-    Parameters
-    ----------
-    given : paths from the command line
-    folder : a folder with more recordings (*.mcap, videos), or None
-    """
+    """Recordings by name: given files, those of a folder (*.mcap, videos), those made while the page is open."""
 
     def __init__(self, given: Iterable[Path] = (), folder: Path | None = None) -> None:
         self._lock, self._folder = threading.Lock(), folder
         self._paths: dict[str, Path] = {}
-        for path in given:
-            self.add(path)
         own = set(files_of(folder))
-        for path in films_in(folder) if folder is not None else ():
-            if path in own:
-                self.add(path)
+        found = films_in(folder) if folder is not None else ()
+        for path in (*given, *(one for one in found if one in own)):
+            self.add(path)
 
     def add(self, path: Path) -> str:
         """Add a recording; return its name: the file's, with a number if that name is taken."""
@@ -311,10 +231,8 @@ def shown_name(name: str) -> str:
     """A name that every page can show and send back: no control codes, no bytes that are no text, not too long."""
     shown = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in name)
     return (
-        shown
-        if len(shown) <= LONGEST_NAME
-        else f"{shown[: LONGEST_NAME // 2]}...{shown[-LONGEST_NAME // 2 :]}"
-    )
+        shown if len(shown) <= 150 else f"{shown[:75]}...{shown[-75:]}"
+    )  # a page's message holds 200 letters
 
 
 def _is_below(path: Path, folder: Path) -> bool:
@@ -322,10 +240,7 @@ def _is_below(path: Path, folder: Path) -> bool:
 
 
 def _resolved(path: Path) -> Path:
-    try:
-        return path.resolve()
-    except (OSError, RuntimeError):  # a link to itself, before Python 3.13
-        return path
+    return Path(os.path.realpath(path))  # a link to itself stays what it is
 
 
 def _name_of(path: Path, listed: dict[str, Path]) -> str | None:

@@ -19,9 +19,6 @@ from gelform.live.hub import Hub
 from gelform.live.shown import Shown
 
 HOST = "127.0.0.1"
-RERUN_PORT, FOXGLOVE_PORT = 9876, 8767  # Rerun's default; one without a known other use
-PER_METER = 1000.0  # depth is in mm
-BACKLOG = 16  # waiting messages for a slow client; the oldest are dropped (1024 would be 300 MB)
 
 
 class Sink(Protocol):
@@ -39,19 +36,13 @@ class Sink(Protocol):
 class Feeder:
     """Gives a sink the newest frame of each station; frames that arrive while it is busy are skipped.
 
-    An exception of the sink ends it and becomes a notice of the hub; the page continues.
-
-    Parameters
-    ----------
-    hub : of the stations
-    sink : closed with the feeder
-    name : of the sink, for the notice
+    The sink is closed with the feeder. An exception of the sink ends it and becomes a notice of the hub, which names it;
+    the page continues.
     """
 
     def __init__(self, hub: Hub, sink: Sink, name: str) -> None:
         self._hub, self._sink, self._name = hub, sink, name
         self._newer, self._stop = threading.Event(), threading.Event()
-        self._shown: dict[int, int] = {}
         self._thread = threading.Thread(target=self._run, name=f"sink {name}", daemon=True)
         hub.listen(self._newer.set)
         hub.sinks += 1
@@ -64,41 +55,30 @@ class Feeder:
         self._thread.join(3.0)
 
     def _run(self) -> None:
+        serials: dict[int, int] = {}
         try:
             while not self._stop.is_set():
                 self._newer.wait()
                 self._newer.clear()
-                self._show_newest()
+                for station in self._hub.stations:
+                    shown = station.newest
+                    if shown is not None and shown.serial != serials.get(station.number):
+                        serials[station.number] = shown.serial
+                        self._sink.show(f"sensor_{station.number}", shown)
         except Exception as problem:  # from another program's library; the page continues without it
             self._hub.notice(f"{self._name} ended: {type(problem).__name__}: {problem}", "error")
         finally:
             self._hub.sinks -= 1
             self._sink.close()
 
-    def _show_newest(self) -> None:
-        for station in self._hub.stations:
-            shown = station.newest
-            if shown is not None and shown.serial != self._shown.get(station.number):
-                self._shown[station.number] = shown.serial
-                self._sink.show(f"sensor_{station.number}", shown)
-
 
 class RerunSink:
     """Entities `sensor_N/image`, `sensor_N/depth` (mm, NaN where unknown) and the numbers `sensor_N/peak`, `area`, `volume`.
 
-    Parameters
-    ----------
-    port : of the viewer
-
-    Raises
-    ------
-    DataError
-        The extra `sinks` is not installed.
-    GelformError
-        No viewer answers.
+    `port` is the viewer's. DataError: the extra `sinks` is not installed. GelformError: no viewer answers.
     """
 
-    def __init__(self, port: int = RERUN_PORT) -> None:
+    def __init__(self, port: int = 9876) -> None:  # Rerun's default
         rerun = needed("rerun", "sinks", "Sending to Rerun")
         try:
             socket.create_connection((HOST, port), timeout=2).close()
@@ -118,7 +98,7 @@ class RerunSink:
         log(f"{name}/image", rerun.Image(shown.image))
         if shown.result is not None:
             depth_mm = np.where(shown.result.known, shown.result.depth_mm, np.float32(np.nan))
-            log(f"{name}/depth", rerun.DepthImage(depth_mm, meter=PER_METER))
+            log(f"{name}/depth", rerun.DepthImage(depth_mm, meter=1000.0))
         if shown.numbers is not None:
             for what, number in shown.numbers.over_time.items():
                 log(f"{name}/{what}", rerun.Scalars(number))
@@ -131,28 +111,20 @@ class RerunSink:
 class FoxgloveSink:
     """Topics `/sensor_N/image` (rgb8), `/sensor_N/indentation` (32FC1, meters, NaN where unknown), `/sensor_N/numbers`.
 
-    Parameters
-    ----------
-    port : of the server; 0 for any that is free
-
-    Raises
-    ------
-    DataError
-        The extra `sinks` is not installed.
-    GelformError
-        The port is taken.
+    `port` is the server's; 0 means any that is free. DataError: the extra `sinks` is not installed. GelformError: the port
+    is taken.
     """
 
-    def __init__(self, port: int = FOXGLOVE_PORT) -> None:
-        foxglove = needed("foxglove", "sinks", "Sending to Foxglove")
-        self._context = foxglove.Context()
+    def __init__(self, port: int = 8767) -> None:  # one without a known other use
+        self._foxglove: Any = needed("foxglove", "sinks", "Sending to Foxglove")
+        self._context = self._foxglove.Context()
         try:
-            self._server = foxglove.start_server(
+            self._server = self._foxglove.start_server(
                 name="gelform",
                 host=HOST,
                 port=port,
                 context=self._context,
-                message_backlog_size=BACKLOG,
+                message_backlog_size=16,  # for a slow client; the oldest are dropped (1024 would be 300 MB)
             )
         except Exception as problem:  # the extension's own class
             raise GelformError(
@@ -172,20 +144,21 @@ class FoxgloveSink:
             meters[~shown.result.known] = np.nan
             self._image(f"/{name}/indentation", meters, "32FC1", stamp)
         if shown.numbers is not None:
-            self._channel(f"/{name}/numbers", None).log(shown.numbers.over_time, log_time=stamp)
+            channel = self._channel(f"/{name}/numbers", self._foxglove.Channel)
+            channel.log(shown.numbers.over_time, log_time=stamp)
 
     def close(self) -> None:
         """Close the connections."""
         self._server.stop()
 
     def _image(self, topic: str, pixels: Any, encoding: str, stamp_ns: int) -> None:
-        from foxglove.messages import RawImage, Timestamp
+        from foxglove import channels, messages
 
         seconds, nanoseconds = divmod(stamp_ns, 10**9)
         data = np.ascontiguousarray(pixels).tobytes()
         height, width = pixels.shape[:2]
-        message = RawImage(
-            timestamp=Timestamp(sec=seconds, nsec=nanoseconds),
+        message = messages.RawImage(
+            timestamp=messages.Timestamp(sec=seconds, nsec=nanoseconds),
             frame_id=topic.split("/")[1],
             width=width,
             height=height,
@@ -193,14 +166,10 @@ class FoxgloveSink:
             step=len(data) // height,
             data=data,
         )
-        self._channel(topic, "RawImageChannel").log(message, log_time=stamp_ns)
+        self._channel(topic, channels.RawImageChannel).log(message, log_time=stamp_ns)
 
-    def _channel(self, topic: str, kind: str | None) -> Any:
+    def _channel(self, topic: str, make: Any) -> Any:
         if topic not in self._channels:
-            import foxglove
-            from foxglove import channels
-
-            make = foxglove.Channel if kind is None else getattr(channels, kind)
             self._channels[topic] = make(topic, context=self._context)
         return self._channels[topic]
 
@@ -211,14 +180,8 @@ SINKS: dict[str, Callable[[], Sink]] = {"rerun": RerunSink, "foxglove": Foxglove
 def feed(hub: Hub, names: Sequence[str]) -> tuple[list[Feeder], list[str]]:
     """Start the sinks with those names; return the feeders, and a sentence for each that says where it shows.
 
-    Raises
-    ------
-    ValueError
-        A name is unknown.
-    DataError
-        The sink's extra is not installed.
-    GelformError
-        No viewer answers, or the port is in use; then none is started.
+    ValueError: a name is unknown. DataError: the sink's extra is not installed. GelformError: no viewer answers, or the
+    port is in use. Then none is started.
     """
     unknown = [name for name in names if name not in SINKS]
     if unknown:

@@ -2,40 +2,34 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import takewhile
+from queue import Empty, SimpleQueue
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration_file import Calibration
-from gelform.errors import GelformError
-from gelform.image.frame import Frame
+from gelform import Calibration, Frame, GelformError, Grabber, Motion, Reconstruction, Reconstructor
 from gelform.live.shown import Shown
-from gelform.motion.between import FOUND, LEAST_PX, LOST, NO_PRIOR, Motion, lost, sensor_of
-from gelform.motion.surface import Array, moved
+from gelform.motion.between import FOUND, LEAST_PX, LOST, NO_PRIOR, lost, sensor_of
+from gelform.motion.surface import moved
 from gelform.motion.track import Follower
-from gelform.reconstruct import Reconstructor
-from gelform.result import Reconstruction
-from gelform.sensors.cameras import Camera
-from gelform.sensors.grabber import STALL_S, Grabber
+from gelform.sensors.cameras import CONTROLS, Camera
+from gelform.sensors.grabber import STALL_S
 from gelform.sensors.record import KEPT_FRAMES
 from gelform.sensors.recordings.player import Player
 from gelform.sensors.source import Source
 from gelform.sensors.streams.memory import Memory, Timed, Work
 from gelform.sensors.streams.pipeline import NewestFrames, Pipeline
 from gelform.sensors.streams.sensor_health import CameraCheck
-
-KEPT_PLACES = 256  # places of a path that are kept and sent with each frame
-STEP_PX = 1.0  # px; nearer to the last place of the path there is no new one
-UNSEEN = 0.25  # of the sigma without any contact; a larger sigma is that of a direction that nothing shows
-UNKNOWN = dict.fromkeys(("shift_mm", "shift_sigma_mm", "turn_deg", "turn_sigma_deg", "axes"))
 
 
 class MovedSince:
@@ -44,53 +38,43 @@ class MovedSince:
     def __init__(self) -> None:
         self._sensor: tuple[object, ...] = ()
         self._follow = Follower()
-        self._places: deque[tuple[float, float] | None] = deque(maxlen=KEPT_PLACES)
+        self._places: deque[tuple[float, float] | None] = deque(maxlen=256)  # are sent with each frame
 
     def __call__(self, result: Reconstruction, place_error: float | None) -> dict[str, Any]:
-        """The motion up to the next frame, for the page; what is not known is None.
+        """The motion up to the next frame, for the page; `place_error` as in `gelform.track`. What is not known is None.
 
-        Parameters
-        ----------
-        result : (H, W)
-        place_error : as in `gelform.track`
-
-        Returns
-        -------
-        dict
-            `state`, `why`, `blind` : of the motion, in words
-            `path` : places (x, y) in px of the contact's middle; None between two of them where the object was lost
-            `shift_mm` : of the contact's middle along x and y; `shift_sigma_mm`
-            `turn_deg` : about z, clockwise in the image; `turn_sigma_deg`
-            `axes` : the object's x, y and z on the picture, 1 long if not tilted; z is None if the tilt is not known
+        `state`, `why` and `blind` are the motion's, in words. `path` has places (x, y) in px of the contact's middle, and
+        None between two of them where the object was lost. `shift_mm` is that of the contact's middle along x and y,
+        `turn_deg` about z, clockwise in the image, each with its sigma. `axes` are the object's x, y and z on the picture,
+        1 long if not tilted; z is None if the tilt is not known.
         """
         if result.mm_per_px is None:
             return _facts(lost("the calibration has no scale")) | {"path": []}
-        touches = np.count_nonzero(result.contact & result.known) >= LEAST_PX
+        touches, places = np.count_nonzero(result.contact & result.known) >= LEAST_PX, self._places
         if not touches or self._sensor != sensor_of(result):
             self._sensor, self._follow = sensor_of(result), Follower(place_error=place_error)
-            self._places.clear()
+            places.clear()
         motion = self._follow(result).motion if touches else lost("nothing touches")
-        facts = _facts(motion)
+        facts, last = _facts(motion), places[-1] if places else None
         if facts["shift_mm"] is not None and motion.center_mm is not None:
             middle = (np.array(result.shape[::-1]) - 1) / 2
-            self._add((motion.center_mm[:2] / result.mm_per_px + middle).round(2).tolist())
-        elif motion.state == LOST and self._places and self._places[-1] is not None:
-            self._places.append(None)
-        return facts | {"path": list(self._places)}
-
-    def _add(self, place: Any) -> None:
-        last = self._places[-1] if self._places else None
-        if last is None or np.hypot(*np.subtract(place, last)) >= STEP_PX:
-            self._places.append(place)
+            place = (motion.center_mm[:2] / result.mm_per_px + middle).round(2).tolist()
+            if last is None or np.hypot(*np.subtract(place, last)) >= 1.0:  # px
+                places.append(place)
+        elif motion.state == LOST and last is not None:
+            places.append(None)
+        return facts | {"path": list(places)}
 
 
 def _facts(motion: Motion) -> dict[str, Any]:
     """What is known of a motion."""
     blind = list(dict.fromkeys(one.words for one in motion.blind))
-    facts: dict[str, Any] = {"state": motion.state, "why": motion.why, "blind": blind, **UNKNOWN}
+    facts: dict[str, Any] = {"state": motion.state, "why": motion.why, "blind": blind}
+    facts |= dict.fromkeys(("shift_mm", "shift_sigma_mm", "turn_deg", "turn_sigma_deg", "axes"))
     if motion.state != FOUND or motion.pose is None or motion.covariance is None or motion.center_mm is None:
         return facts
-    most_mm, most_rad = UNSEEN * np.array(NO_PRIOR)
+    # A larger sigma than a quarter of that without any contact is of a direction that nothing shows.
+    most_mm, most_rad = 0.25 * np.array(NO_PRIOR)
     sigma, turn = np.sqrt(np.diag(motion.covariance)), motion.pose[:3, :3]
     if _largest_sigma(motion.covariance[:2, :2]) < most_mm:
         before = moved(np.linalg.inv(motion.pose), motion.center_mm)
@@ -104,127 +88,65 @@ def _facts(motion: Motion) -> dict[str, Any]:
     return facts
 
 
-def _largest_sigma(covariance: Array) -> float:
+def _largest_sigma(covariance: NDArray[np.float64]) -> float:
     """The standard deviation along the direction in which a covariance is largest."""
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(covariance)[-1])))
 
 
-KEPT_NUMBERS = 18_000  # results whose numbers are kept for the curves: five minutes at 60 per second
+SETTABLE = (*CONTROLS, "led_level")  # settings of a camera that the page can change
 RETRY_S = 1.0  # s between attempts to open an unavailable source
-WAIT_S = 0.25  # s, longest wait for a result before a request to stop is checked
-CLOSE_S = 10.0  # s for the threads of the pipeline and of the device, 2 s each
+WAIT_S = 0.25  # s, longest wait for a frame or a result before the station is looked at again
 # s between reconstructed frames while no page is open. The memory learns means over a second and more, and its
 # findings take at least a quarter of a second, so eight frames per second are enough.
 UNWATCHED_S = 0.125
-KEPT_BACKGROUNDS = 8  # that can be undone
-NEVER_S = float("inf")  # a held recording has not stalled
-STAGES = ("view", "reconstruct")  # stages whose times add up to the displayed time of reconstruction
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What a station reconstructs with.
+    """What a station reconstructs with; `replace` makes another one, which has forgotten the frames before."""
 
-    Attributes
-    ----------
-    memory : the Reconstructor with the memory of the sequence; None without a calibration: only the image is shown
-    name : of the calibration, in the page's list
-    solver : the chosen one, "auto" by default
-    background : (H, W, 3) float32 taken live, or None: the calibration's own
-    earlier : (calibration, name, background) before each background that was taken and can be undone
-    """
-
-    memory: Memory | None = None
-    name: str = ""
+    calibration: Calibration | None = None  # None: only the image is shown
+    name: str = ""  # of the calibration, in the page's list
     solver: str = "auto"
-    background: NDArray[np.float32] | None = None
+    background: NDArray[np.float32] | None = None  # (H, W, 3), taken live; None: the calibration's own
+    # Calibration, name and background before each background that was taken and can be undone, eight at most.
     earlier: tuple[tuple[Calibration, str, NDArray[np.float32] | None], ...] = ()
+    memory: Memory | None = field(init=False, compare=False, default=None)  # of the sequence
 
-    @property
-    def calibration(self) -> Calibration | None:
-        """The calibration in use."""
-        return None if self.memory is None else self.memory.reconstruct.calibration
-
-    def with_calibration(
-        self, calibration: Calibration, name: str, background: NDArray[np.float32] | None = None
-    ) -> Setup:
-        """A setup with another calibration, and its own background or one taken live."""
-        run = Reconstructor(calibration, background=background, solver=self.solver)
-        return Setup(Memory(run), name, self.solver, background)
-
-    def with_background(self, background: NDArray[np.float32] | None) -> Setup:
-        """A setup with a new background; None: the calibration's own.
-
-        Raises
-        ------
-        CalibrationError
-            The background is not of the calibrated sensor.
-        """
-        return replace(self, background=background).anew()
+    def __post_init__(self) -> None:
+        """CalibrationError: the background is not of the calibrated sensor."""
+        if self.calibration is not None:
+            run = Reconstructor(self.calibration, background=self.background, solver=self.solver)
+            object.__setattr__(self, "memory", Memory(run))
 
     def taking(self, calibration: Calibration, name: str, background: NDArray[np.float32]) -> Setup:
-        """As `with_calibration`, for a background that was taken now; `undone` undoes it."""
+        """A setup with a background that was taken now; `undone` undoes it."""
         undo = () if self.calibration is None else ((self.calibration, self.name, self.background),)
-        made = self.with_calibration(calibration, name, background)
-        return replace(made, earlier=(*self.earlier, *undo)[-KEPT_BACKGROUNDS:])
+        return Setup(calibration, name, self.solver, background, (*self.earlier, *undo)[-8:])
 
     def undone(self) -> Setup:
         """The setup before the last background that was taken."""
-        *earlier, before = self.earlier
-        return replace(self.with_calibration(*before), earlier=tuple(earlier))
-
-    def with_solver(self, solver: str) -> Setup:
-        """A setup with another solver."""
-        return replace(self, solver=solver).anew()
-
-    def anew(self) -> Setup:
-        """A setup for another sequence of frames, without memory."""
-        if self.calibration is None:
-            return self
-        return replace(
-            self.with_calibration(self.calibration, self.name, self.background), earlier=self.earlier
-        )
+        *earlier, (calibration, name, background) = self.earlier
+        return Setup(calibration, name, self.solver, background, tuple(earlier))
 
 
 @dataclass(frozen=True)
 class Opening:
-    """How a station opens its source.
+    """How a station opens its source."""
 
-    Attributes
-    ----------
-    open_it : opens the source; called again after a loss
-    stall_s : seconds without a frame until the source counts as lost
-    camera : the camera of this machine that it opens; None for other sources
-    wanted : camera settings chosen here; `open_it` sets them again
-    """
-
-    open_it: Callable[[], Source]
-    stall_s: float = STALL_S
-    camera: Camera | None = None
+    open_it: Callable[[], Source]  # called again after a loss
+    stall_s: float = STALL_S  # s without a frame until the source counts as lost; a held recording never does
+    camera: Camera | None = None  # of this machine, that it opens
+    # Camera settings chosen here; `open_it` sets them again.
     wanted: dict[str, float | str] = field(default_factory=dict)
 
 
 class Station:
-    """A source, its reconstruction, and the displayed results.
+    """A source, its reconstruction, and the displayed results: a `Pipeline` whose sequence is the station itself.
 
-    Parameters
-    ----------
-    number : the page's name for it
-    spec : the user's spec as it is shown: "simulated", a serial number, a path, an address without its password
-    opening : how to open its source, or the function that opens it
-    on_shown : called in the station's thread when there is something new to show
-    watched : whether every frame is needed, as for a tap; else eight per second are reconstructed, for the memory
-
-    Attributes
-    ----------
-    setup : Setup; assign another one to change it: a held recording is then reconstructed again
-    newest : Shown or None
-    taps : called with each shown frame, in the station's thread: guides
-    turn : held by the one action that changes the station
-    paused : whether a sensor's picture is held
-    moved : follows the touching object from frame to frame; None if nobody asks
-    sensor : the requested starter; "" for that of the camera's make
-    starter_problem : why there is no starter's calibration; "" if there is nothing to report
+    `number` is the page's name for it, and `spec` the user's, as it is shown: "simulated", a serial number, a path, an
+    address without its password. `on_shown` is called in the station's thread when there is something new to show.
+    `watched` says whether every frame is needed, as for a tap; else eight per second are reconstructed, for the memory.
     """
 
     def __init__(
@@ -236,23 +158,25 @@ class Station:
         watched: Callable[[], bool] = lambda: True,
     ) -> None:
         self.number, self.spec = number, spec
-        self._setup = Setup()
-        self.newest: Shown | None = None
-        self.taps: list[Callable[[Shown], None]] = []
-        self.turn = threading.Lock()
-        self.paused = False
-        self.moved: MovedSince | None = None
-        self.sensor = self.starter_problem = ""
-        self._given = self._opening = opening if isinstance(opening, Opening) else Opening(opening)
-        self._given_setup = self._setup
+        self.opening = opening if isinstance(opening, Opening) else Opening(opening)
         self._on_shown, self._watched = on_shown, watched
+        self.newest: Shown | None = None
+        self.taps: list[Callable[[Shown], None]] = []  # called with each shown frame, in the station's thread
+        self.turn = threading.Lock()  # held by the one action that changes the station
+        self.paused = False  # whether a sensor's picture is held
+        self.moved: MovedSince | None = None  # None if nobody asks
+        self.sensor = ""  # the requested starter; "": that of the camera's make
+        self.starter_problem = ""  # why there is no starter's calibration
+        self._setup = Setup()
+        self._first: tuple[Opening, Setup] | None = None  # while another source is shown
         self._grabber: Grabber | None = None
         self._pipeline: Pipeline[Shown] | None = None
-        self._examine: Callable[[Work], None] | None = None
+        self._examine: Callable[[Work], None] = lambda work: work()
         self._missing = ""
         self._stop, self._switched = threading.Event(), threading.Event()
-        self._serial, self._begun_s = 0, -NEVER_S
-        self._numbers: deque[tuple[float, ...]] = deque(maxlen=KEPT_NUMBERS)
+        self._serial, self._begun_s = 0, -math.inf
+        # Of the results of five minutes at 60 per second, for the curves.
+        self._numbers: deque[tuple[float, ...]] = deque(maxlen=18_000)
         self._thread = threading.Thread(target=self._run, name=f"station {number}", daemon=True)
 
     def start(self) -> None:
@@ -264,17 +188,19 @@ class Station:
         self._stop.set()
         self._switched.set()
         if self._thread.ident is not None:
-            self._thread.join(CLOSE_S)
+            self._thread.join(10.0)  # the threads of the pipeline and of the device take 2 s each
 
     @property
     def setup(self) -> Setup:
-        """The setup of the reconstruction."""
+        """What it reconstructs with; a held recording is reconstructed again with another one."""
         return self._setup
 
     @setup.setter
     def setup(self, setup: Setup) -> None:
-        if setup.memory is not None and setup.memory is not self._setup.memory:
-            self._prepare(setup.memory)
+        if (memory := setup.memory) is not None:
+            check = CameraCheck(memory.reconstruct.calibration)
+            memory.standing = lambda: check(self.grabber)
+            memory.run_by(lambda work: self._examine(work))
         self._setup = setup
         self.show_again()
 
@@ -285,31 +211,20 @@ class Station:
 
     def show(self, opening: Opening, setup: Setup) -> None:
         """Show another source in place of the first one."""
-        if not self.opened:
-            self._given_setup = self._setup
-        self._opening, self._setup, self.starter_problem = opening, setup, ""
+        self._first = self._first or (self.opening, self._setup)
+        self.opening, self._setup, self.starter_problem = opening, setup, ""
         self._switched.set()
 
-    def show_given(self) -> None:
+    def show_first(self) -> None:
         """Return to the first source, with its setup of that time."""
-        if self.opened:
-            self._opening, self._setup = self._given, self._given_setup
+        if self._first is not None:
+            (self.opening, self._setup), self._first = self._first, None
             self._switched.set()
-
-    @property
-    def opened(self) -> bool:
-        """Whether the station shows another source than its first one."""
-        return self._opening is not self._given
 
     @property
     def camera(self) -> Camera | None:
         """The camera of this machine that it shows or is about to open."""
-        return self._opening.camera or getattr(self.source, "camera", None)
-
-    @property
-    def wanted(self) -> dict[str, float | str]:
-        """The camera settings chosen here."""
-        return self._opening.wanted
+        return self.opening.camera or getattr(self.source, "camera", None)
 
     @property
     def source(self) -> Source | None:
@@ -333,6 +248,13 @@ class Station:
             raise GelformError("The sensor is not connected. Plug it in.")
         return self._grabber
 
+    @property
+    def current(self) -> Shown:
+        """The newest frame; GelformError before the first one."""
+        if self.newest is None:
+            raise GelformError("There is no frame yet. Wait for the first one.")
+        return self.newest
+
     def pause(self, paused: bool) -> None:
         """Hold the picture, or continue; a recording is held itself."""
         if self.player is None:
@@ -353,6 +275,31 @@ class Station:
             return f"The sensor gives no frames: {self._grabber.reason}."
         return ""
 
+    def next_frames(self, count: int, timeout_s: float = 15.0) -> list[Shown]:
+        """The next frames; of a held recording the current one.
+
+        GelformError: they do not arrive in time, or the station shows no frames now; the message says why.
+        """
+        if self.player is not None and not self.player.playing:
+            return [self.current]
+        got: SimpleQueue[Shown] = SimpleQueue()
+        found: list[Shown] = []
+        until_s = time.monotonic() + timeout_s
+        self.taps.append(got.put)
+        try:
+            while len(found) < count:
+                if why := self.silence:
+                    raise GelformError(why)
+                if (left_s := until_s - time.monotonic()) <= 0:
+                    raise GelformError(
+                        f"Expected {count} frames within {timeout_s:g} s, got {len(found)}. Is the camera connected?"
+                    )
+                with suppress(Empty):
+                    found.append(got.get(timeout=min(WAIT_S, left_s)))
+        finally:
+            self.taps.remove(got.put)
+        return found
+
     def numbers_since(self, serial: int) -> list[tuple[float, ...]]:
         """(serial, time_s, peak, area, volume) of all kept results after the one with that serial."""
         newest_first = takewhile(lambda row: row[0] > serial, reversed(self._numbers.copy()))
@@ -360,35 +307,38 @@ class Station:
 
     def facts(self) -> dict[str, Any]:
         """The station's state for the page."""
-        grabber, setup, player, pipeline = self._grabber, self.setup, self.player, self._pipeline
-        calibration, memory = setup.calibration, setup.memory
-        stage_ms = {} if pipeline is None else pipeline.stats().stage_ms
+        grabber, setup, player, pipeline = self._grabber, self._setup, self.player, self._pipeline
+        stats = None if pipeline is None else pipeline.stats()
+        stage_ms = {} if stats is None else stats.stage_ms
+        settings = {} if grabber is None else dict(grabber.settings)
+        can_set = settings if hasattr(self.source, "set_controls") else {}
         facts: dict[str, Any] = {
             "number": self.number,
             "spec": self.spec,
             "name": self.spec if grabber is None else grabber.name,
             "serial": None if grabber is None else grabber.serial,
-            "settings": {} if grabber is None else dict(grabber.settings),
+            "settings": settings,
+            "settable": {name: can_set[name] for name in SETTABLE if name in can_set},
             "state": "missing" if grabber is None else grabber.state,
             "reason": self._missing if grabber is None else grabber.reason,
-            "rate_hz": self.rate_hz,
-            "took_ms": sum(stage_ms.get(name, 0.0) for name in STAGES),
+            "rate_hz": 0.0 if stats is None else stats.rate_hz,  # of results
+            "took_ms": stage_ms.get("view", 0.0) + stage_ms.get("reconstruct", 0.0),
+            "lost": self.lost,
+            "skipped": self.skipped,
             "simulated": self.simulated is not None,
             "calibration": setup.name,
-            "image_shape": None if calibration is None else list(calibration.image_shape),
             "background": "taken on this page" if setup.background is not None else "from the calibration",
             "can_undo": bool(setup.earlier),
-            "zero": memory is not None and memory.zero is not None,
+            "zero": setup.memory is not None and setup.memory.zero is not None,
             "solver": setup.solver,
             "motion": self.moved is not None,
             "paused": self.paused,
             "replay": None if player is None else player.facts(),
-            "opened": self.opened,
+            "opened": self._first is not None,  # another source than the first one
         }
         if grabber is not None:
-            stats = grabber.stats
-            facts |= {"camera_hz": stats.rate_hz, "reopened": stats.reopened}
-        return facts | {"lost": self.lost, "skipped": self.skipped}
+            facts |= {"camera_hz": grabber.stats.rate_hz, "reopened": grabber.stats.reopened}
+        return facts
 
     @property
     def lost(self) -> int:
@@ -401,12 +351,7 @@ class Station:
     @property
     def skipped(self) -> int:
         """Number of needed frames that a newer one replaced: neither drawn nor in any figure."""
-        return 0 if self._pipeline is None else self._pipeline.stats().skipped
-
-    @property
-    def rate_hz(self) -> float:
-        """Results per second; 0 if the last one is older than a second."""
-        return 0.0 if self._pipeline is None else self._pipeline.stats().rate_hz
+        return 0 if (pipeline := self._pipeline) is None else pipeline.stats().skipped
 
     # -- the thread, and functions that the pipeline's threads call -------------------------------------------------
 
@@ -414,22 +359,22 @@ class Station:
         while not self._stop.is_set():
             self._switched.clear()
             try:
-                opening, self._setup = self._opening, self._setup.anew()
+                opening, self.setup = self.opening, replace(self._setup)
                 with Grabber(opening.open_it, stall_s=opening.stall_s, keep=KEPT_FRAMES) as self._grabber:
                     self._show_all(self._grabber)
-            except (GelformError, OSError) as problem:
-                self._missing, self._grabber = str(problem), None
+            except Exception as problem:
+                is_bug = not isinstance(problem, (GelformError, OSError))
+                self._missing = f"bug: {type(problem).__name__}: {problem}" if is_bug else str(problem)
+                self._grabber = None
                 self._on_shown()
+                if is_bug:  # the page shows that this sensor has stopped, and why
+                    raise
                 self._switched.wait(RETRY_S)
-            except Exception as problem:  # a bug: the page shows that this sensor has stopped, and why
-                self._missing, self._grabber = f"bug: {type(problem).__name__}: {problem}", None
-                self._on_shown()
-                raise
 
     def _show_all(self, grabber: Grabber) -> None:
         """Show results until another source is chosen; after the source's end its last frame stays."""
-        feed = NewestFrames(grabber, owned=False, paused=self._waits)
-        pipeline = self._pipeline = Pipeline(feed, self)
+        pipeline = Pipeline(NewestFrames(grabber, owned=False, paused=self._waits), self)
+        self._pipeline = pipeline
         pipeline.start()
         after = -1
         try:
@@ -443,7 +388,7 @@ class Station:
                     self._switched.wait(WAIT_S)
         finally:
             pipeline.close()
-            self._pipeline = self._examine = None
+            self._pipeline = None
 
     def _waits(self) -> bool:
         """Whether to skip frames now: the picture is held, or no page is open and a result is recent."""
@@ -451,7 +396,7 @@ class Station:
         return self.paused or (unwatched and time.monotonic() - self._begun_s < UNWATCHED_S)
 
     def _show(self, shown: Shown) -> None:
-        moved, calibration = self.moved, self.setup.calibration
+        moved, calibration = self.moved, self._setup.calibration
         if moved is not None and shown.result is not None and calibration is not None and self._watched():
             shown.motion = moved(shown.result, calibration.settings.place_error)
         self.newest = shown
@@ -462,15 +407,6 @@ class Station:
     def run_by(self, examine: Callable[[Work], None]) -> None:
         """Run slow work of this and later setups elsewhere."""
         self._examine = examine
-        if self._setup.memory is not None:
-            self._prepare(self._setup.memory)
-
-    def _prepare(self, memory: Memory) -> None:
-        """Run a memory's slow work elsewhere, and have it compare the camera with the calibration."""
-        if self._examine is not None:
-            memory.run_by(self._examine)
-        check = CameraCheck(memory.reconstruct.calibration)
-        memory.standing = lambda: check(self.grabber)
 
     def reconstructed(self, frame: Frame, timed: Timed) -> Shown:
         """The setup's result of a frame; if reconstruction fails, the frame and the reason."""

@@ -64,12 +64,22 @@ def is_trouble(said):
 
 
 @pytest.fixture
-def page(visit, hub):
+def page(visit, station):
     """The page, with the ball pressed and held."""
-    hub.stations[0].source.press_at(120, 60, 0.5, held_s=600)
+    station.source.press_at(120, 60, 0.5, held_s=600)
     opened = visit()
     until(lambda: opened.evaluate("window.gelform?.frame?.header.peak > 0.4"))
     return opened
+
+
+@pytest.fixture
+def still(page, station):
+    """The picture of the page held: page and server show the same frame, whose result it is."""
+    page.click("#pause")
+    until(lambda: station.paused)
+    until(lambda: page.evaluate("gelform.frame.header.serial") == station.newest.serial)
+    until(lambda: page.evaluate("gelform.panes.every((one) => one.frame === gelform.frame && one.said)"))
+    return station.newest.result
 
 
 @pytest.fixture
@@ -81,3 +91,9 @@ def picture():
         return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
 
     return of
+
+
+@pytest.fixture
+def is_drawn(picture):
+    """Whether the surface on a canvas is drawn: there are many colors."""
+    return lambda page, at="#surface": len(np.unique(picture(page, at).reshape(-1, 3) // 16, axis=0)) > 20

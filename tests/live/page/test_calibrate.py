@@ -11,7 +11,8 @@ import pytest
 import gelform
 from gelform.calibration.guide import LEAST
 from gelform.calibration.starters import load_starter
-from gelform.live.start import Options, start
+from gelform.live.start import start
+from gelform.live.station import Setup
 from live_waiting import held, until
 
 pytestmark = pytest.mark.slow
@@ -28,9 +29,11 @@ def count(page):
     return page.evaluate("gelform.facts.guides[0]?.count ?? 0")
 
 
-def test_the_guide_leads_from_the_ball_to_a_calibration_in_use(visit, hub, tmp_path, library, picture):
+def test_the_guide_leads_from_the_ball_to_a_calibration_in_use(
+    visit, hub, station, tmp_path, library, picture
+):
     """The simulated sensor is pressed by the guide; what was made reads the depth of a press that it has not seen."""
-    hub.folder, station = tmp_path, hub.stations[0]
+    hub.folder = tmp_path
     page = visit()
     page.click("#tab-calibrate")
     page.fill("#ball", "5")
@@ -58,9 +61,8 @@ def test_the_guide_leads_from_the_ball_to_a_calibration_in_use(visit, hub, tmp_p
     page.click("#guide-more")
     until(lambda: page.inner_text("#steps .now") == "Press")
     before = count(page)
-    until(
-        lambda: page.inner_text("#coverage-level") == page.evaluate("gelform.facts.guides[0].coverage.level")
-    )
+    level = "gelform.facts.guides[0].coverage.level"
+    until(lambda: page.inner_text("#coverage-level") == page.evaluate(level))
     until(lambda: count(page) > before)
     until(lambda: page.evaluate(fit))
     page.click("#guide-fit")
@@ -83,21 +85,15 @@ MAKE = "simulated-three-edges"
 
 
 @pytest.fixture
-def started():
-    hubs = []
-
-    def of(sensor=MAKE):
-        hubs.append(start(Options(rate_hz=20, sensor=sensor)))
-        return hubs[-1]
-
-    yield of
-    for hub in hubs:
-        hub.close()
+def uncalibrated():
+    """A hub with a simulated sensor that only a starter knows."""
+    hub = start(rate_hz=20, sensor=MAKE)
+    yield hub
+    hub.close()
 
 
-def test_one_button_gives_depth_and_a_banner_that_stays(visit, serving_of, started, calibration):
-    hub = started()
-    page = visit(serving_of(hub).url)
+def test_one_button_gives_depth_and_a_banner_that_stays(visit, serving_of, uncalibrated, calibration):
+    page = visit(serving_of(uncalibrated).url)
     until(lambda: page.is_visible("#starter-take"))
     until(lambda: f"This {MAKE} has no calibration" in page.inner_text("#starter"))
     until(lambda: "Take the background" in page.inner_text("#stages .empty"))
@@ -113,15 +109,14 @@ def test_one_button_gives_depth_and_a_banner_that_stays(visit, serving_of, start
     page.fill("#ball", "5")
     page.click("#guide-start")
     until(lambda: page.evaluate("gelform.facts.guides[0]?.step === 'press'"))
-    hub.end_guide(0)
-    hub.stations[0].setup = hub.stations[0].setup.with_calibration(calibration, "mine")
+    uncalibrated.end_guide(uncalibrated.stations[0])
+    uncalibrated.stations[0].setup = Setup(calibration, "mine")
     until(lambda: not page.is_visible("#starter"))
 
 
-def test_a_sensor_that_is_not_known_is_chosen_and_a_wrong_one_is_said(visit, serving_of, started):
-    hub = started()
-    hub.stations[0].sensor = ""
-    page = visit(serving_of(hub).url)
+def test_a_sensor_that_is_not_known_is_chosen_and_a_wrong_one_is_said(visit, serving_of, uncalibrated):
+    uncalibrated.stations[0].sensor = ""
+    page = visit(serving_of(uncalibrated).url)
     until(lambda: page.is_visible("#starter-sensor"))
     until(lambda: page.is_disabled("#starter-take"))
     page.select_option("#starter-sensor", "gelsight-mini")

@@ -3,6 +3,7 @@
 The layout on a desktop and on a phone: legends, messages, reachable buttons; outdated figures are dimmed.
 """
 
+import math
 import os
 import threading
 from dataclasses import replace
@@ -15,7 +16,7 @@ import pytest
 import gelform
 from gelform.errors import SourceLostError
 from gelform.exchange.plots import save_picture
-from gelform.live.station import NEVER_S, Opening, Station
+from gelform.live.station import Opening, Setup
 from gelform.sensors.films import open_film
 from gelform.sensors.recordings.player import Player
 from live_waiting import until
@@ -25,32 +26,25 @@ pytestmark = pytest.mark.slow
 AXE = Path(os.environ.get("GELFORM_AXE", "node_modules/axe-core/axe.min.js"))
 
 
-def held(page, hub):
-    """The picture held still: page and server show the same frame, which is given."""
-    page.click("#pause")
-    until(lambda: hub.stations[0].paused)
-    until(lambda: page.evaluate("gelform.frame.header.serial") == hub.stations[0].newest.serial)
-    until(lambda: page.evaluate("gelform.panes.every((one) => one.frame === gelform.frame && one.said)"))
-    return hub.stations[0].newest.result
+def pixels(page, pane, x, y, width=1, height=1):
+    """RGB (N, 3) of a part of the map that a pane draws."""
+    script = """([pane, ...part]) => {
+        const context = gelform.panes[pane].painting.canvas.getContext("2d");
+        return [...context.getImageData(...part).data];
+    }"""
+    return np.array(page.evaluate(script, [pane, int(x), int(y), width, height])).reshape(-1, 4)[:, :3]
 
 
-def test_colors_profile_and_numbers_are_those_of_the_array(page, hub):
+def test_colors_profile_and_numbers_are_those_of_the_array(page, still):
     colormaps = pytest.importorskip("matplotlib").colormaps
-    depth = held(page, hub).depth_mm
-    top = page.evaluate("gelform.settings.range")
+    depth, top = still.depth_mm, page.evaluate("gelform.settings.range")
     row, column = np.unravel_index(depth.argmax(), depth.shape)
     for y, x in ((row, column), (row, column + 12), (5, 5)):
-        script = (
-            "([x, y]) => [...gelform.panes[0].painting.canvas.getContext('2d').getImageData(x, y, 1, 1).data]"
-        )
-        found = page.evaluate(script, [int(x), int(y)])
         wanted = 255 * np.array(colormaps["viridis"](max(0.0, depth[y, x] / top)))[:3]
-        np.testing.assert_allclose(found[:3], wanted, atol=12)
-    pitch = hub.stations[0].newest.result.mm_per_px
-    normals = gelform.normals_from_gradients(gelform.gradients_from_depth(depth, mm_per_px=pitch))
+        np.testing.assert_allclose(pixels(page, 0, x, y)[0], wanted, atol=12)
+    normals = gelform.normals_from_gradients(gelform.gradients_from_depth(depth, mm_per_px=still.mm_per_px))
     for y, x in ((row, column + 12), (row - 9, column), (0, 0)):
-        found = page.evaluate(script.replace("panes[0]", "panes[2]"), [int(x), int(y)])
-        np.testing.assert_allclose(found[:3], 127.5 + 127.5 * normals[y, x], atol=2)
+        np.testing.assert_allclose(pixels(page, 2, x, y)[0], 127.5 + 127.5 * normals[y, x], atol=2)
     script = """([x, y]) => import('/js/maps/charts.js').then((module) => {
         const { alongX, alongY } = module.profilesThrough(gelform.frame, [x, y]);
         return [[...alongX], [...alongY]];
@@ -63,39 +57,33 @@ def test_colors_profile_and_numbers_are_those_of_the_array(page, hub):
 
 
 @pytest.fixture
-def blinded(hub, sensor):
+def blinded(page, station):
     """The sensor with a rectangle so bright that nothing is known of it."""
-    source = hub.stations[0].source
-    seen = source.image_at
+    seen = station.source.image_at
 
     def image_at(index):
         image = seen(index)
-        image[BLIND] = 255
+        image[80:110, 20:60] = 255
         return image
 
-    source.image_at = image_at
-    until(lambda: not hub.stations[0].newest.result.known.all())
-
-
-BLIND = np.s_[80:110, 20:60]
-
-
-def test_what_is_not_known_is_hatched_and_never_a_depth(page, hub, blinded, picture):
-    """On maps, in the profile and on the surface, though the solver filled it in."""
+    station.source.image_at = image_at
     until(lambda: page.evaluate("gelform.frame.has('unknown')"))
-    known = held(page, hub).known
+
+
+def test_what_is_not_known_is_hatched_and_never_a_depth(page, blinded, still, picture):
+    """On maps, in the profile and on the surface, though the solver filled it in."""
+    known = still.known
     assert not known[90:100, 30:50].any()
-    script = "() => [...gelform.panes[0].painting.canvas.getContext('2d').getImageData(30, 90, 20, 10).data]"
+    swatches = page.locator(".pane >> nth=0 >> .swatch")
 
     def is_hatched():
-        pixels = np.array(page.evaluate(script)).reshape(-1, 4)
-        return {tuple(rgb) for rgb in pixels[:, :3].tolist()} == {(138, 148, 153), (93, 103, 108)}
+        grays = {(138, 148, 153), (93, 103, 108)}
+        return set(map(tuple, pixels(page, 0, 30, 90, 20, 10).tolist())) == grays
 
     for view, unknown in (("depth", True), ("image", False), ("normals", True)):  # each unlike the one before
         page.select_option(".pane select >> nth=0", view)
         until(lambda unknown=unknown: is_hatched() is unknown)
-        swatches = page.locator(".pane >> nth=0 >> .swatch")
-        until(lambda count=int(unknown), swatches=swatches: swatches.count() == count)
+        until(lambda count=int(unknown): swatches.count() == count)
     script = """() => import('/js/maps/charts.js').then(({ profilesThrough }) => {
         const { alongX, depth } = profilesThrough(gelform.frame, [40, 95]);
         return [alongX.map(Number.isNaN), Number.isNaN(depth)];
@@ -108,18 +96,16 @@ def test_what_is_not_known_is_hatched_and_never_a_depth(page, hub, blinded, pict
     page.evaluate("gelform.frame.planes.unknown.values.fill(0)")
     page.evaluate("gelform.surface.orbit.changed()")
 
-    def changed_pixels():
-        return np.abs(shown - picture(page, "#surface").astype(int)).max(axis=-1) > 20
+    def changed(filled):
+        return np.abs(shown - filled).max(axis=-1) > 20
 
-    until(lambda: changed_pixels().sum() > 500)
-    filled = picture(page, "#surface").astype(int)
-    changed = np.abs(shown - filled).max(axis=-1) > 20
-    spread = np.ptp(shown[changed], axis=-1)  # gray: channels alike
-    assert np.median(spread) < 12 < np.median(np.ptp(filled[changed], axis=-1))
+    until(lambda: changed(picture(page, "#surface")).sum() > 500)
+    filled = picture(page, "#surface")
+    of_hatch, of_depth = (np.median(np.ptp(one[changed(filled)], axis=-1)) for one in (shown, filled))
+    assert of_hatch < 12 < of_depth  # gray: channels alike
 
 
-def test_the_surface_wears_the_confidence_whatever_the_panes_show(page, hub, blinded, picture):
-    until(lambda: page.evaluate("gelform.frame.has('unknown')"))
+def test_the_surface_wears_the_confidence_whatever_the_panes_show(page, blinded, picture):
     assert "confidence" not in page.evaluate("gelform.panes.map((one) => one.view)")
     page.select_option("#drape", "confidence")
     until(lambda: page.evaluate("gelform.frame.has('confidence')"))
@@ -127,8 +113,8 @@ def test_the_surface_wears_the_confidence_whatever_the_panes_show(page, hub, bli
     yellow = np.array([37, 231, 253])  # BGR of 1, of which the most part is; lit, it keeps its hue
 
     def yellow_pixels():
-        pixels = picture(page, "#surface").astype(float)
-        bright = pixels / np.maximum(pixels.max(axis=-1, keepdims=True), 1)
+        bright = picture(page, "#surface").astype(float)
+        bright /= np.maximum(bright.max(axis=-1, keepdims=True), 1)
         return int((np.abs(bright - yellow / 253).max(axis=-1) < 0.15).sum())
 
     until(lambda: yellow_pixels() > 10_000)
@@ -136,18 +122,7 @@ def test_the_surface_wears_the_confidence_whatever_the_panes_show(page, hub, bli
     until(lambda: yellow_pixels() < 1_000)
 
 
-def test_the_surface_is_drawn_and_turns(page, hub, picture):
-    held(page, hub)
-    until(lambda: len(np.unique(picture(page, "#surface").reshape(-1, 3) // 16, axis=0)) > 20)
-    before = picture(page, "#surface")
-    page.focus("#surface")
-    for _ in range(4):
-        page.keyboard.press("ArrowRight")
-    until(lambda: np.abs(picture(page, "#surface").astype(int) - before).mean() > 1)
-
-
-def test_buttons_do_what_they_say(page, hub):
-    station = hub.stations[0]
+def test_buttons_do_what_they_say(page, station):
     page.click("#zero")
     until(lambda: station.setup.memory.zero is not None)
     until(lambda: page.inner_text("#zero") == "Undo zero")
@@ -165,19 +140,22 @@ def test_buttons_do_what_they_say(page, hub):
     with page.expect_download() as download:
         page.click(".toast a >> nth=0")
     assert cv2.imread(str(download.value.path())).shape == (*station.newest.result.shape, 3)
+    page.click("#background")
+    until(lambda: "Something touches the gel" in page.inner_text("#toasts"))
+    assert station.setup.background is None
+    assert not page.is_visible("#undo-background")
     station.source.lift()
     until(lambda: station.newest.numbers.peak < 0.05)
     page.keyboard.press("b")
-    until(lambda: station.setup.background is not None)
+    until(lambda: page.is_visible("#undo-background"))
+    until(lambda: "the average of 15 frames" in page.inner_text("#toasts"))
+    assert station.setup.background is not None
+    page.click("#undo-background")
+    until(lambda: not page.is_visible("#undo-background"))
+    assert station.setup.background is None
 
 
-def test_details_are_folded_until_they_are_asked_for(page):
-    assert not page.is_visible("#facts")
-    page.click("#facts-card summary")
-    until(lambda: "capture to screen" in page.inner_text("#facts"))
-
-
-def test_the_numbers_are_of_the_frame_that_the_maps_show(visit, hub):
+def test_the_numbers_are_of_the_frame_that_the_maps_show(visit, station):
     """While the ball goes in and out, at every drawing."""
     page = visit()
     until(lambda: page.evaluate("gelform.frame?.header.peak !== undefined"), 30)
@@ -191,17 +169,20 @@ def test_the_numbers_are_of_the_frame_that_the_maps_show(visit, hub):
         };
         look();
     })"""
-    hub.stations[0].source.press_at(88, 66, 0.5)
+    station.source.press_at(88, 66, 0.5)
     seen = page.evaluate(script)
     assert len({serial for serial, *_ in seen}) > 5
     assert [said.startswith(peak) for _, peak, said in seen] == [True] * len(seen)
 
 
-def test_every_view_can_be_chosen(page):
+def test_every_view_can_be_chosen_and_details_are_folded_until_they_are_asked_for(page):
     for view in page.evaluate("Object.keys(gelform.views)"):
         page.select_option(".pane select >> nth=0", view)
         until(lambda: page.evaluate("gelform.panes[0].painting.image !== null"))
         until(lambda view=view: page.locator(f".pane[data-view={view}]").count() >= 1)
+    assert not page.is_visible("#facts")
+    page.click("#facts-card summary")
+    until(lambda: "capture to screen" in page.inner_text("#facts"))
 
 
 def test_a_recording_ends_with_its_tab_but_not_when_it_is_loaded_anew(visit, hub, tmp_path, monkeypatch):
@@ -221,14 +202,6 @@ def test_a_recording_ends_with_its_tab_but_not_when_it_is_loaded_anew(visit, hub
     assert len(list(tmp_path.glob("recording-*"))) == 1
 
 
-def test_on_a_phone_nothing_is_wider_than_the_screen(page):
-    page.set_viewport_size({"width": 390, "height": 844})
-    until(lambda: page.evaluate("gelform.panes[0].shown.width < 390"))
-    wide = "[...document.querySelectorAll('main *')].filter(one => one.getBoundingClientRect().right > 391).length"
-    until(lambda: page.evaluate(wide) == 0)
-    page.set_viewport_size({"width": 1100, "height": 900})
-
-
 def test_a_lost_connection_is_said_and_comes_back(page):
     page.evaluate("gelform.connection.socket.close()")
     serial = page.evaluate("gelform.frame.header.serial")
@@ -238,15 +211,13 @@ def test_a_lost_connection_is_said_and_comes_back(page):
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simulated, tmp_path):
+def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simulated, tmp_path, show):
     """With all that the page can show: two sensors, a recording that is held, the ruler, a message, the guide."""
     if not AXE.is_file():
         pytest.skip(f"no axe-core in {AXE}: npm install axe-core, or set GELFORM_AXE")
     for k, press in enumerate(simulated.presses[:2]):
         save_picture(tmp_path / f"{k}.png", press.image)
-    opening = Opening(lambda: Player(open_film(tmp_path)), NEVER_S)
-    hub.stations.append(Station(1, "second", opening, hub.changed))
-    hub.stations[1].start()
+    show(Opening(lambda: Player(open_film(tmp_path)), math.inf), hub)
     (tmp_path / "session.mcap").write_bytes(bytes(2000))
     hub.recordings.add(tmp_path)
     hub.recordings.add(tmp_path / "session.mcap")
@@ -270,13 +241,11 @@ def test_nothing_serious_for_those_who_see_or_point_badly(page, hub, theme, simu
         assert serious == []
 
 
-def test_a_gel_that_is_another_one_has_no_surface_and_no_figures(page, hub, calibration):
+def test_a_gel_that_is_another_one_has_no_surface_and_no_figures(page, station, calibration):
     """Neither the last surface that was known nor a flat one of 0.000 mm: a dash, and why."""
-    other = replace(
-        calibration, background=np.ascontiguousarray(calibration.background[::-1, ::-1, [2, 0, 1]])
-    )
-    station = hub.stations[0]
-    station.setup = station.setup.with_calibration(other, "mine")
+    background = np.ascontiguousarray(calibration.background[::-1, ::-1, [2, 0, 1]])
+    other = replace(calibration, background=background)
+    station.setup = Setup(other, "mine")
     until(lambda: "This frame cannot be reconstructed" in page.inner_text(".empty"))
     until(lambda: page.inner_text("#number-peak .value") == "–")
     until(lambda: page.inner_text("#profile-at") == "–")
@@ -285,20 +254,16 @@ def test_a_gel_that_is_another_one_has_no_surface_and_no_figures(page, hub, cali
     until(lambda: not page.evaluate("gelform.frame.has('depth')"))
 
 
-DESK, PHONE = {"width": 1400, "height": 900}, {"width": 390, "height": 844}
+SIZES = {"desk": {"width": 1400, "height": 900}, "phone": {"width": 390, "height": 844}}
 
 
-@pytest.fixture(params=[DESK, PHONE], ids=["desk", "phone"])
+@pytest.fixture(params=SIZES.values(), ids=SIZES)
 def sized(page, request):
     """The page at a size, which it has been laid out for."""
     page.set_viewport_size(request.param)
     until(lambda: page.evaluate("document.documentElement.clientWidth") == request.param["width"])
-    until(
-        lambda: (
-            abs(box(page, "#panes")["width"] - page.evaluate("gelform.panes[0].node.parentNode.clientWidth"))
-            < 1
-        )
-    )
+    script = "gelform.panes[0].node.parentNode.clientWidth"
+    until(lambda: abs(box(page, "#panes")["width"] - page.evaluate(script)) < 1)
     yield page
     page.set_viewport_size({"width": 1100, "height": 900})
 
@@ -329,6 +294,14 @@ def test_the_legend_of_why_pixels_are_not_trusted_stays_in_its_pane(sized):
 NEEDED = "#theme, #help, .tabs button, #status, main button, main select, main input, main canvas"
 
 
+def are_apart(one, other):
+    return any(
+        b[at] >= a[at] + a[size]
+        for a, b in ((one, other), (other, one))
+        for at, size in (("x", "width"), ("y", "height"))
+    )
+
+
 def test_messages_cover_nothing_have_a_cross_and_go(sized, hub):
     hub.notice("The disk is almost full. " * 5, "error")
     hub.notice("Zero set: depth is relative to the last frames.")
@@ -340,41 +313,33 @@ def test_messages_cover_nothing_have_a_cross_and_go(sized, hub):
         .map((one) => one.getBoundingClientRect()).map(({{ x, y, width, height }}) => ({{ x, y, width, height }}))"""
     for one in sized.evaluate(script):
         for toast in toasts:
-            apart = (
-                one["x"] >= toast["x"] + toast["width"]
-                or toast["x"] >= one["x"] + one["width"]
-                or one["y"] >= toast["y"] + toast["height"]
-                or toast["y"] >= one["y"] + one["height"]
-            )
-            assert apart, (one, toast)
+            assert are_apart(one, toast), (one, toast)
     sized.get_by_role("button", name="Dismiss").first.focus()
     sized.keyboard.press("Enter")
     until(lambda: sized.locator(".toast").count() == 1)
     until(lambda: sized.locator(".toast").count() == 0, 25)  # by itself
 
 
-def test_the_background_is_within_reach(sized):
+def test_nothing_is_wider_than_the_screen_and_the_background_is_within_reach(sized):
+    width, height = sized.viewport_size["width"], sized.viewport_size["height"]
+    wide = f"[...document.querySelectorAll('main *')].filter(one => one.getBoundingClientRect().right > {width + 1})"
+    until(lambda: sized.evaluate(f"{wide}.length") == 0)
     for button in ("#background", "#zero"):
         found = box(sized, button)
         assert found["height"] >= 30
-        assert found["y"] + found["height"] <= sized.viewport_size["height"], "without scrolling"
+        assert found["y"] + found["height"] <= height, "without scrolling"
 
 
-def test_figures_are_dimmed_while_there_are_no_new_ones(page, hub):
-    lost, source = threading.Event(), hub.stations[0].source
-    seen = source.image_at
+def test_figures_are_dimmed_while_there_are_no_new_ones(page, station):
     back = threading.Event()
 
-    def image_at(index):
-        if lost.is_set():
-            back.wait(60)
-            raise SourceLostError("The camera was unplugged.")
-        return seen(index)
+    def image_at(_):
+        back.wait(60)
+        raise SourceLostError("The camera was unplugged.")
 
-    source.image_at = image_at
     opacity = "getComputedStyle(document.querySelector('#number-peak .value')).opacity"
     until(lambda: page.evaluate(opacity) == "1")
-    lost.set()
+    station.source.image_at = image_at
     until(lambda: page.inner_text("#status").startswith("reconnecting"))
     until(lambda: float(page.evaluate(opacity)) < 0.5)
     for place in (".pane .map", "#surface"):

@@ -17,18 +17,18 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform import Frame, SensorError, open_source
 from gelform.live.hub import Hub
 from gelform.live.lists import Devices
-from gelform.live.station import Setup, Station
+from gelform.live.station import Setup
 from gelform.sensors.cameras import Camera
 from gelform.sensors.films import open_film
 from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.record import attached_calibration
-from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.simulated import SimulatedSource, Touch
-from gelform.sensors.source import open_source
 from gelform.simulate import Pose, text_relief
 from live_waiting import until
+from made.sources import recorded
 from stream.ffmpeg_camera import FfmpegCamera, why_absent
 
 pytestmark = pytest.mark.slow
@@ -39,17 +39,13 @@ COUNT = 9
 @pytest.fixture
 def recording(simulated, tmp_path):
     """A recording of nine presses."""
-    from gelform.image.frame import Frame
-
-    written = McapRecording(tmp_path / "session.mcap", RecordingFacts("ring", "S7", {}, 10.0))
-    for k, press in enumerate(simulated.presses[:COUNT]):
-        written.write(Frame(press.image, k / 10, 10**18 + k, k))
-    written.close()
-    return tmp_path / "session.mcap"
+    images = [press.image for press in simulated.presses[:COUNT]]
+    frames = [Frame(image, k / 10, 10**18 + k, k) for k, image in enumerate(images)]
+    return recorded(tmp_path / "session.mcap", frames, RecordingFacts("ring", "S7", {}, 10.0))
 
 
 @pytest.fixture
-def replay(page, hub, recording, tmp_path):
+def replay(page, hub, station, recording, tmp_path):
     """The page on the recording, held."""
     hub.folder = tmp_path
     hub.recordings.add(recording)
@@ -58,21 +54,15 @@ def replay(page, hub, recording, tmp_path):
     until(lambda: page.is_visible("#replay"))
     until(lambda: page.evaluate("gelform.facts.stations[0].replay?.count") == COUNT)
     page.click("#step-back")  # holds, whether it plays or has just come to its end
-    until(lambda: not hub.stations[0].source.playing)
+    until(lambda: not station.source.playing)
     return page
-
-
-def test_a_pressed_frame_is_no_background(replay, hub):
-    replay.click("#background")
-    until(lambda: "Something touches the gel" in replay.inner_text("#toasts"))
-    assert hub.stations[0].setup.background is None
 
 
 def number(page):
     return page.evaluate("gelform.frame?.header.replay?.[0]")
 
 
-def test_it_is_scrubbed_stepped_played_and_looped(replay, hub, recording, calibration):
+def test_it_is_scrubbed_stepped_played_and_looped(replay, station, recording, calibration):
     seek = "(() => { const s = document.getElementById('scrub'); s.value = 4; s.dispatchEvent(new Event('input')) })()"
     replay.evaluate(seek)
     until(lambda: number(replay) == 4)
@@ -88,18 +78,18 @@ def test_it_is_scrubbed_stepped_played_and_looped(replay, hub, recording, calibr
     until(lambda: number(replay) == 4)
     replay.select_option("#speed", "8")
     replay.click("#loop")
-    until(lambda: hub.stations[0].source.facts()["loop"])
+    until(lambda: station.source.facts()["loop"])
     replay.click("#play")
-    until(lambda: hub.stations[0].source.playing)
+    until(lambda: station.source.playing)
     until(lambda: replay.inner_text("#play") == "Pause")
-    before = hub.stations[0].newest.serial
-    until(lambda: hub.stations[0].newest.serial > before + COUNT, 60)  # round the end
+    before = station.newest.serial
+    until(lambda: station.newest.serial > before + COUNT, 60)  # round the end
     replay.click("#play")
-    until(lambda: not hub.stations[0].source.playing)
+    until(lambda: not station.source.playing)
     until(lambda: replay.inner_text("#play") == "Play")
     replay.evaluate("document.activeElement.blur()")  # a focused button takes the space
     replay.keyboard.press(" ")
-    until(lambda: hub.stations[0].source.playing)
+    until(lambda: station.source.playing)
 
 
 def test_one_file_is_shared_and_downloaded(replay, calibration):
@@ -125,12 +115,23 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
 """
 
 
-def test_without_webgl_the_surface_is_a_shaded_relief(visit, hub, picture):
-    hub.stations[0].source.press_at(120, 60, 0.5, held_s=600)
-    page = visit(before=NO_WEBGL)
-    until(lambda: page.evaluate("gelform.frame?.header.peak > 0.4"))
+@pytest.fixture
+def visit_pressed(visit, station):
+    """Opens the page with the ball pressed; `before` is a script that runs in it first."""
+
+    def go(before):
+        station.source.press_at(120, 60, 0.5, held_s=600)
+        page = visit(before=before)
+        until(lambda: page.evaluate("gelform.frame?.header.peak > 0.4"))
+        return page
+
+    return go
+
+
+def test_without_webgl_the_surface_is_a_shaded_relief(visit_pressed, is_drawn):
+    page = visit_pressed(NO_WEBGL)
     assert "no WebGL2" in page.evaluate("gelform.look.renderer")
-    until(lambda: len(np.unique(picture(page, "#surface").reshape(-1, 3) // 16, axis=0)) > 20)
+    until(lambda: is_drawn(page))
     page.click("#reset-view")  # does nothing there, without an error
 
 
@@ -142,20 +143,15 @@ WebGL2RenderingContext.prototype.getParameter = function (name) {
 """
 
 
-def test_with_a_graphics_processor_every_pixel_is_a_vertex_and_every_frame_is_drawn(visit, hub, picture):
+def test_with_a_graphics_processor_every_pixel_is_a_vertex_and_every_frame_is_drawn(visit_pressed, is_drawn):
     """The processor computes it here too, under another name."""
-    hub.stations[0].source.press_at(120, 60, 0.5, held_s=600)
-    page = visit(before=GRAPHICS)
-    until(lambda: page.evaluate("gelform.frame?.header.peak > 0.4"))
+    page = visit_pressed(GRAPHICS)
     assert page.evaluate("gelform.look.renderer") == "WebGL2"
     assert page.evaluate("gelform.connection.ahead") == 2
     until(lambda: page.evaluate("gelform.surface.grid") == [176, 132])
-    until(
-        lambda: page.evaluate(
-            "gelform.surface.canvas.width === Math.round(gelform.surface.canvas.clientWidth)"
-        )
-    )
-    until(lambda: len(np.unique(picture(page, "#surface").reshape(-1, 3) // 16, axis=0)) > 20)
+    whole = "gelform.surface.canvas.width === Math.round(gelform.surface.canvas.clientWidth)"
+    until(lambda: page.evaluate(whole))
+    until(lambda: is_drawn(page))
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs signals that stop a process")
@@ -179,7 +175,7 @@ def test_after_sleep_the_page_comes_back_by_itself(visit):
 
 
 @pytest.fixture
-def two(hub, sensor, calibration):
+def two(hub, sensor, calibration, show):
     """The hub with a second sensor, pressed; its exposure can be set."""
 
     def opened():
@@ -189,16 +185,11 @@ def two(hub, sensor, calibration):
         source.set_controls = lambda wanted: source.settings.update(wanted) or source.settings
         return source
 
-    station = Station(1, "right", opened, hub.changed)
-    station.setup = Setup().with_calibration(calibration, "mine")
-    hub.stations.append(station)
-    station.start()
-    until(lambda: station.newest)
-    station.source.press_at(60, 70, 0.45, held_s=600)
+    show(opened, hub, Setup(calibration, "mine")).source.press_at(60, 70, 0.45, held_s=600)
     return hub
 
 
-def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, picture):
+def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, is_drawn):
     page = visit()
     until(lambda: page.evaluate("gelform.stages.length") == 2)
     until(lambda: page.evaluate("gelform.stages[1].frame?.header.peak > 0.4"))
@@ -206,7 +197,7 @@ def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, picture):
     first, second = (page.locator(one).bounding_box() for one in ("#surface", "#surface-1"))
     assert first["y"] == second["y"]
     assert second["x"] >= first["x"] + first["width"]
-    until(lambda: len(np.unique(picture(page, "#surface-1").reshape(-1, 3) // 16, axis=0)) > 20)
+    until(lambda: is_drawn(page, "#surface-1"))
     until(lambda: page.evaluate("Object.keys(gelform.stages[1].frame.planes)") == ["depth"])
     page.click(".chooser >> nth=1")
     until(lambda: page.evaluate("gelform.frame.header.station === 1 && gelform.frame.has('image')"))
@@ -221,9 +212,8 @@ def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, picture):
     curves = page.evaluate(drawn.format("time"))
     page.click(".chooser >> nth=0")
     until(lambda: page.inner_text(".whose >> nth=1") == "of sensor 1")
-    until(
-        lambda: page.get_attribute("#follow", "aria-pressed") == "true"
-    )  # the point was chosen on the other one
+    # The point was chosen on the other one.
+    until(lambda: page.get_attribute("#follow", "aria-pressed") == "true")
     until(lambda: page.inner_text("#profile-at").startswith("at (88, 66)"))  # the middle: nothing touches it
     until(lambda: page.evaluate(drawn.format("time")) != curves)
     page.click(".chooser >> nth=1")
@@ -237,34 +227,31 @@ def test_two_sensors_stand_side_by_side_and_one_is_chosen(two, visit, picture):
 
 
 @pytest.mark.skipif(why_absent() is not None, reason=str(why_absent()))
-def test_a_camera_of_the_list_is_shown_from_the_page_and_left_again(hub, visit):
+def test_a_camera_of_the_list_is_shown_from_the_page_and_left_again(hub, station, visit):
     with FfmpegCamera() as camera:
         listed = [Camera("Bench camera", "/dev/video7", "S7")]
         hub.devices = Devices(hub.stations, lambda: listed, lambda *_: open_source(camera.url))
         page = visit()
         page.click("#devices button.show")
-        until(lambda: not hub.stations[0].facts()["simulated"])
+        until(lambda: not station.facts()["simulated"])
         until(lambda: "No calibration yet" in page.inner_text("#stages"))
         until(lambda: page.locator("#devices button.show").count() == 0)
         until(lambda: "none in the list has its serial" in page.inner_text("#toasts"))
         page.click("#devices-back")
-        until(lambda: hub.stations[0].facts()["simulated"])
+        until(lambda: station.facts()["simulated"])
         until(lambda: page.is_hidden("#devices-back"))
         until(lambda: page.evaluate("gelform.facts.stations[0].calibration") == "mine")
 
 
-def test_what_is_in_the_way_of_a_camera_is_said_on_the_page(visit, serving_of):
+def test_what_is_in_the_way_of_a_camera_is_said_on_the_page(visit, serving_of, show):
     """The sentence that `open_source` gives for a camera that another program has."""
-    from gelform.errors import SensorError
 
     def busy():
-        raise SensorError(
-            "DIGIT (serial D1, /dev/video0) is in use by python (process 7). Close the other program."
-        )
+        said = "DIGIT (serial D1, /dev/video0) is in use by python (process 7). Close the other program."
+        raise SensorError(said)
 
     hub = Hub()
-    hub.stations.append(Station(0, "D1", busy, hub.changed))
-    hub.stations[0].start()
+    show(busy, hub, waits=False)
     page = visit(serving_of(hub).url)
     until(lambda: page.is_visible("#banner"))
     until(lambda: "process 7" in page.inner_text("#banner"))
@@ -275,9 +262,8 @@ LETTERS = text_relief("gel", height_mm=5.0)
 STEPS = 8
 
 
-def touch(hub, step):
+def touch(station, step):
     """Hold the letters at a step of their way, and wait for it to be shown."""
-    station = hub.stations[0]
     source = station.source
     held = Touch(LETTERS, Pose(0.35, (0.2 * step - 1, 0.1 * step - 0.5), spin_deg=0.7 * step))
     source._levels_now = lambda _: source._levels_of_touch(held)
@@ -285,18 +271,15 @@ def touch(hub, step):
     until(lambda: station.newest.serial > before + 4)
 
 
-def test_words_for_a_motion_that_is_awaited_small_or_partly_unseen(visit, hub):
+def test_words_for_a_motion_that_is_awaited_small_or_partly_unseen(visit, station):
     """As the server sends it: nothing touches, a ball rolls where nothing shows it, and what rounds to zero has no sign."""
-    hub.stations[0].source.press_at(88, 66, 0.5, held_s=600)
+    station.source.press_at(88, 66, 0.5, held_s=600)
     page = visit()
     page.click("#motion-on")
     until(lambda: page.is_visible("#motion-card"))
-    until(
-        lambda: "cannot be seen" in page.inner_text("#motion-card") or "hardly" in page.inner_text("#motion"),
-        20,
-    )
-    hub.stations[0].source.lift()
-    hub.stations[0].source.rest()
+    until(lambda: re.search("cannot be seen|hardly", page.inner_text("#motion-card")), 20)
+    station.source.lift()
+    station.source.rest()
     until(lambda: page.inner_text("#motion") == "Waiting for a touch.", 20)
     assert not page.is_visible("#motion-more")
     script = """motion => {
@@ -305,41 +288,29 @@ def test_words_for_a_motion_that_is_awaited_small_or_partly_unseen(visit, hub):
     }"""
     page.click("#pause")
     until(lambda: page.evaluate("gelform.facts.stations[0].paused"))
-    ball = [
-        "turns about the ball's center at (0.1, -0.4, -2.6) mm",
-        "turns about the ball's center at (0.1, -0.3, -2.6) mm",
-    ]
-    known = {"state": "found", "why": "", "blind": ball, "path": [], "axes": None}
-    numbers = {
-        "shift_mm": [-0.001, 0.3],
-        "shift_sigma_mm": [0.01, 0.01],
-        "turn_deg": None,
-        "turn_sigma_deg": None,
-    }
-    page.evaluate(script, known | numbers)
-    until(
-        lambda: (
-            page.inner_text("#motion")
-            == "Since the touch: moved 0.30 mm down, how far it turned is not known."
-        )
-    )
+    ball = [f"turns about the ball's center at (0.1, {y}, -2.6) mm" for y in (-0.4, -0.3)]
+    motion = {"state": "found", "why": "", "blind": ball, "path": [], "axes": None}
+    motion |= {"shift_mm": [-0.001, 0.3], "shift_sigma_mm": [0.01, 0.01]}
+    page.evaluate(script, motion | {"turn_deg": None, "turn_sigma_deg": None})
+    said = "Since the touch: moved 0.30 mm down, how far it turned is not known."
+    until(lambda: page.inner_text("#motion") == said)
     assert page.inner_text("#motion-blind") == "Turns about the ball's center cannot be seen."
     page.click("#motion-more summary")
     assert page.inner_text("#motion-numbers") == "x 0.00 ± 0.01 mm, y 0.30 ± 0.01 mm, turn not known"
 
 
-def test_the_path_and_the_turn_of_letters(visit, hub):
-    touch(hub, 0)
+def test_the_path_and_the_turn_of_letters(visit, station):
+    touch(station, 0)
     page = visit()
     until(lambda: page.evaluate("gelform.frame?.header.peak > 0.2"))
     assert page.evaluate("gelform.frame.header.motion") is None
     assert page.is_hidden("#motion-card")
     page.click("#motion-on")
-    until(lambda: hub.stations[0].moved is not None)
+    until(lambda: station.moved is not None)
     until(lambda: page.inner_text("#motion") == "The object has hardly moved.", 20)
     assert page.evaluate("gelform.frame.header.motion.shift_mm") is None
     for step in range(1, STEPS):
-        touch(hub, step)
+        touch(station, step)
     said = r"Since the touch: moved 1\.3\d mm right and 0\.[67]\d mm down, turned [45]\.\d° clockwise\."
     until(lambda: re.fullmatch(said, page.inner_text("#motion")), 20)
     assert not page.is_visible("#motion-numbers")
@@ -366,5 +337,5 @@ def test_the_path_and_the_turn_of_letters(visit, hub):
     np.testing.assert_allclose((max(columns), max(rows)), path.max(axis=0), atol=4)
     page.click("#pause")
     page.click("#motion-on")
-    until(lambda: hub.stations[0].moved is None)
+    until(lambda: station.moved is None)
     until(lambda: page.is_hidden("#motion-card"))

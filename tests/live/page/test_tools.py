@@ -13,59 +13,35 @@ from live_waiting import until
 pytestmark = pytest.mark.slow
 
 
-FORCE = {"normal_n": 4.2, "normal_sigma_n": 1.1, "shear_x_n": None, "shear_y_n": None, "shear_sigma_n": None}
-
-
-def test_the_force_has_its_sigma_or_the_reason(page):
-    """Hidden until loads are known."""
+def test_cards_have_the_force_with_its_sigma_or_the_reason_and_each_of_several_contacts(page):
+    """Each is hidden without: so the cards are read at once, before the next frame."""
     assert page.locator("#force-card").is_hidden()
-    force = {**FORCE, "torsion_n_mm": None, "torsion_sigma_n_mm": None, "force_reason": "no dots"}
-    # Read at once: the next frame, which has no force, hides the card again.
-    script = """async (force) => {
-        (await import('/js/panels/status.js')).drawForce({ header: { force } });
-        return document.getElementById('force-card').innerText;
+    script = """async ([draw, header, card]) => {
+        (await import('/js/panels/status.js'))[draw]({ header });
+        return document.getElementById(card).innerText;
     }"""
-    said = page.evaluate(script, force)
+    names = ("shear_x_n", "shear_y_n", "shear_sigma_n", "torsion_n_mm", "torsion_sigma_n_mm")
+    force = {"normal_n": 4.2, "normal_sigma_n": 1.1, "force_reason": "no dots", **dict.fromkeys(names)}
+    said = page.evaluate(script, ["drawForce", {"force": force}, "force-card"])
     assert re.search(r"into the gel\s+4\.20 ± 1\.10 N", said)
     assert re.search(r"shear x\s+–", said)
     assert "no dots" in said
-
-
-def test_each_of_several_contacts_has_its_place_size_and_edge(page):
     mask = np.zeros((40, 60), dtype=bool)
     mask[4:10, 4:14] = mask[20:30, 50:60] = True
     contacts, _ = contacts_from_mask(mask, np.where(mask, np.float32(0.25), 0), mm_per_px=0.1)
-    script = """async (contacts) => {
-        (await import('/js/panels/status.js')).drawContacts({ header: { contacts } });
-        return document.getElementById('contacts').innerText;
-    }"""
-    lines = page.evaluate(script, [asdict(one) for one in contacts]).splitlines()
-    assert [line.split() for line in lines] == [
-        ["50,", "20", "0.250", "1.0", "cut", "by", "the", "border"],
-        ["4,", "4", "0.250", "0.6"],
-    ]
-
-
-@pytest.fixture
-def still(page, hub):
-    """The page with the picture held, and the result that it shows."""
-    station = hub.stations[0]
-    page.click("#pause")
-    until(lambda: station.paused)
-    # The one that was compared: where the picture was held while a frame came, that one is shown last.
-    shows = "gelform.frame.header.serial"
-    shown = until(lambda: one if (one := station.newest).serial == page.evaluate(shows) else None)
-    return shown.result
+    said = page.evaluate(
+        script, ["drawContacts", {"contacts": [asdict(one) for one in contacts]}, "contacts"]
+    )
+    lines = [" ".join(line.split()) for line in said.splitlines()]
+    assert lines == ["50, 20 0.250 1.0 cut by the border", "4, 4 0.250 0.6"]
 
 
 def click_at(page, view, x, y):
     """Click a map in its pane at a pixel of the image."""
     page.evaluate("() => gelform.panes[0].map.scrollIntoView({ block: 'center' })")
     box = page.locator(f"#panes .pane[data-view={view}] .map").bounding_box()
-    height, width = 132, 176
-    page.mouse.click(
-        box["x"] + (x + 0.5) / width * box["width"], box["y"] + (y + 0.5) / height * box["height"]
-    )
+    px = box["width"] / 176
+    page.mouse.click(box["x"] + (x + 0.5) * px, box["y"] + (y + 0.5) * px)
 
 
 def test_the_ruler_measures_between_two_points(page, still):
@@ -92,9 +68,8 @@ def test_the_ruler_measures_between_two_points(page, still):
     page.fill("#ruler input >> nth=3", f"{101 * still.mm_per_px:.3f}")
     until(lambda: page.inner_text("#ruler output") != said)
     assert page.evaluate("gelform.stages[0].ruler.ends[1]") == [35, 101]
-    page.evaluate(
-        "gelform.frame.planes.unknown = { ...gelform.frame.planes.depth, values: new Uint8Array(132 * 176).fill(1) }"
-    )
+    unknown = "{ ...gelform.frame.planes.depth, values: new Uint8Array(132 * 176).fill(1) }"
+    page.evaluate(f"gelform.frame.planes.unknown = {unknown}")
     page.evaluate("document.dispatchEvent(new Event('laidout'))")  # draws again
     # The longer sentence moves what is below it, also a button that is being clicked.
     until(lambda: page.inner_text("#ruler output").endswith("in depth is not known."))
@@ -103,48 +78,26 @@ def test_the_ruler_measures_between_two_points(page, still):
     until(lambda: page.is_hidden("#ruler"))
 
 
-def test_a_background_is_refused_while_something_touches_and_can_be_undone(page, hub, picture):
-    station = hub.stations[0]
-    page.click("#background")
-    until(lambda: "Something touches the gel" in page.inner_text("#toasts"))
-    assert station.setup.background is None
-    assert not page.is_visible("#undo-background")
-    station.source.lift()
-    until(lambda: station.newest.numbers.peak < 0.05)
-    page.click("#background")
-    until(lambda: page.is_visible("#undo-background"))
-    until(lambda: "the average of 15 frames" in page.inner_text("#toasts"))
-    taken = station.setup.background
-    page.click("#undo-background")
-    until(lambda: not page.is_visible("#undo-background"))
-    assert taken is not None
-    assert station.setup.background is None
-
-
-def test_curves_reach_back_for_minutes_and_keep_their_peaks(page, hub):
+def test_curves_reach_back_for_minutes_and_keep_their_peaks(page, station):
     """Numbers of five minutes come at once, and what is drawn of them has each part's largest and least."""
-    station = hub.stations[0]
     now_s = station.newest.frame.time_s
-    before = [
-        ((k + 1) / 10_000, now_s - 300 + k / 30, 0.9 if k == 4000 else 0.1, 1.0, 1.0) for k in range(8900)
-    ]
+    times_s = now_s - 300 + np.arange(8900) / 30
+    before = [((k + 1) / 1e4, t, 0.9 if k == 4000 else 0.1, 1.0, 1.0) for k, t in enumerate(times_s.tolist())]
     station.paused = True
     until(lambda: page.evaluate("gelform.frame.header.serial") == station.newest.serial)
-    kept = list(station._numbers)
-    station._numbers.clear()
-    station._numbers.extend(before + kept)
+    station._numbers.extendleft(reversed(before))
     station.paused = False
     page.reload()
     until(lambda: page.evaluate("window.gelform?.series?.time.length > 1000"))
-    spans = page.evaluate(
-        "[10, 300].map((s) => { const { time } = gelform.series.recent('peak', s); return time.at(-1) - time[0]; })"
-    )
+    script = "(s) => { const { time } = gelform.series.recent('peak', s); return time.at(-1) - time[0]; }"
+    spans = [page.evaluate(script, s) for s in (10, 300)]
     assert spans[0] <= 10
     assert 250 < spans[1] <= 300
     assert page.evaluate("Math.max(...gelform.series.peak)") == 0.9
-    before_it = page.evaluate("document.getElementById('time').toDataURL()")
+    picture = "document.getElementById('time').toDataURL()"
+    before_it = page.evaluate(picture)
     page.select_option("#span", "300")
-    until(lambda: page.evaluate("document.getElementById('time').toDataURL()") != before_it)
+    until(lambda: page.evaluate(picture) != before_it)
     script = """() => import('/js/maps/charts.js').then(({ thinned }) => {
         const time = Array.from({ length: 20000 }, (_, k) => k / 60);
         const values = time.map((t, k) => (k === 7777 ? 5 : Math.sin(k)));
@@ -153,9 +106,7 @@ def test_curves_reach_back_for_minutes_and_keep_their_peaks(page, hub):
     })"""
     length, has_peak, at, grows = page.evaluate(script)
     assert length <= 2 * 301
-    assert has_peak
-    assert grows
-    assert at == pytest.approx(7777)
+    assert (has_peak, grows, at) == (True, True, pytest.approx(7777))
 
 
 def drawn(picture, page):
@@ -166,7 +117,7 @@ def drawn(picture, page):
     return np.ptp(rows) / height, np.ptp(columns) / width
 
 
-def test_the_surface_fills_its_stage_the_screen_and_has_smooth_edges(page, still, picture):
+def test_the_surface_fills_its_stage_and_the_screen_has_smooth_edges_and_turns(page, still, picture):
     page.evaluate("scrollTo(0, 0)")
     assert page.evaluate("gelform.surface.gl.getContextAttributes().antialias")
     assert page.evaluate("gelform.surface.gl.getParameter(gelform.surface.gl.SAMPLES)") > 1
@@ -179,6 +130,11 @@ def test_the_surface_fills_its_stage_the_screen_and_has_smooth_edges(page, still
     until(lambda: page.locator("#stage").bounding_box() == {"x": 0, "y": 0, **page.viewport_size})
     until(lambda: max(drawn(picture, page)) > 0.7)
     assert page.is_visible("#reset-view")
+    before = picture(page, "#surface").astype(int)
+    page.focus("#surface")
+    for _ in range(4):
+        page.keyboard.press("ArrowRight")
+    until(lambda: np.abs(picture(page, "#surface") - before).mean() > 1)
     page.evaluate("document.fullscreenElement ? document.exitFullscreen() : null")
     page.keyboard.press("Escape")
     until(lambda: page.locator("#stage").bounding_box()["height"] < 700)

@@ -69,12 +69,12 @@ def live(
     if sensor is not None:
         one_of(sensor, STARTERS, "--sensor")
     from gelform.live.sinks import feed
-    from gelform.live.start import Options, start
+    from gelform.live.start import start
     from gelform.live.web.server import listen
 
     server = listen(host, port, token=token)
     with mistakes_in("live"):
-        hub = start(Options(sources or ["simulated"], calibration or [], folder, rate, sensor, bgr))
+        hub = start(sources or ["simulated"], calibration or [], folder, rate, sensor, bgr)
     try:
         with mistakes_in("--sink"):
             feeders, said = feed(hub, sink or [])

@@ -17,6 +17,7 @@ from collections.abc import AsyncIterator, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from http.cookies import CookieError, SimpleCookie
 from importlib import resources
+from pathlib import PurePosixPath
 from typing import Any
 
 from starlette.applications import Starlette
@@ -26,14 +27,11 @@ from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
-from gelform.errors import GelformError
+from gelform import GelformError
 from gelform.live.hub import Hub, page_named
 from gelform.live.lists import shown_name
-from gelform.live.web.client import TOO_MANY, Client
+from gelform.live.web.client import POLICY, Client
 
-LOOPBACK = ("127.0.0.1", "localhost", "::1")  # names of this machine
-DECIDING = ("host", "origin", "sec-fetch-site")  # headers that may occur only once
-OPEN_PATHS = ("/session",)  # the page's files are open too: they contain nothing secret
 HEADERS = {
     b"content-security-policy": b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
     b"connect-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -47,15 +45,10 @@ HEADERS = {
 
 
 class Access:
-    """The host names of the server, and its token.
+    """The host names of the server, which `names` has besides this machine's own, and its token, if one is required.
 
-    Parameters
-    ----------
-    port : of the server
-    names : host names of the server besides this machine's own
-    token : None if none is required
-    any_address : whether any address (not name) is accepted as a host, for a server that listens on all of them. An address
-        cannot be bound to another machine, so this is safe
+    `any_address` accepts any address (not name) as a host, for a server that listens on all of them. An address cannot be
+    bound to another machine, so this is safe.
     """
 
     def __init__(
@@ -63,19 +56,13 @@ class Access:
     ) -> None:
         self.token = token
         self._port, self._any_address = port, any_address
-        self._names = {name.lower() for name in (*LOOPBACK, *names)}
+        self._names = {name.lower() for name in ("127.0.0.1", "localhost", "::1", *names)}
         self.cookie = f"gelform_{port}"  # cookies do not distinguish ports
 
     def host_allowed(self, host: str) -> bool:
         """Whether a Host header names this server."""
         name, port = split_host(host)
-        if port != self._port:
-            return False
-        return name in self._names or (self._any_address and _is_address(name))
-
-    def origin_allowed(self, origin: str, host: str) -> bool:
-        """Whether an Origin header names the page that this server served under that host."""
-        return origin.lower() == f"http://{host.lower()}"
+        return port == self._port and (name in self._names or (self._any_address and _is_address(name)))
 
     def token_allowed(self, given: str) -> bool:
         """Whether this is the token, in constant time."""
@@ -95,40 +82,39 @@ class Access:
 class Guard:
     """Refuses requests that `Access` does not allow, before the application; adds the headers that an answer lacks."""
 
-    def __init__(self, app: Any, access: Access, open_paths: Iterable[str] = OPEN_PATHS) -> None:
+    def __init__(self, app: Any, access: Access, open_paths: Iterable[str]) -> None:
         self._app, self._access, self._open_paths = app, access, frozenset(open_paths)
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
-        if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
-            return
-        refusal = self._refusal(scope)
-        if scope["type"] == "websocket":
-            if refusal is None:
-                await self._app(scope, receive, send)
-            else:
-                await send({"type": "websocket.close", "code": 1008, "reason": ""})
-            return
+        async def with_headers(event: Any) -> None:
+            if event["type"] == "http.response.start":
+                own = list(event.get("headers", []))
+                named = {name for name, _ in own}
+                event = {**event, "headers": own + [one for one in HEADERS.items() if one[0] not in named]}
+            await send(event)
+
+        kind = scope["type"]
+        refusal = self._refusal(scope) if kind in ("http", "websocket") else None
         if refusal is None:
-            await self._app(scope, receive, _with_headers(send))
+            await self._app(scope, receive, with_headers)
+        elif kind == "websocket":
+            await send({"type": "websocket.close", "code": POLICY, "reason": ""})
         else:
-            status, text = refusal
-            await PlainTextResponse(text, status)(scope, receive, _with_headers(send))
+            await PlainTextResponse(refusal[1], refusal[0])(scope, receive, with_headers)
 
     def _refusal(self, scope: Any) -> tuple[int, str] | None:
         """Status and text of a refusal; None if the request is allowed."""
         headers = Headers(scope=scope)
-        host = headers.get("host")
-        repeated = any(len(headers.getlist(name)) > 1 for name in DECIDING)
+        host, origin = headers.get("host"), headers.get("origin")
+        repeated = any(len(headers.getlist(name)) > 1 for name in ("host", "origin", "sec-fetch-site"))
         if repeated or host is None or not self._access.host_allowed(host):
             return 421, "This server does not answer to that host. Open the address that the terminal shows."
-        origin = headers.get("origin")
-        if origin is None:
-            foreign = scope["type"] == "websocket"
-        else:
-            foreign = not self._access.origin_allowed(origin, host)
+        own = f"http://{host.lower()}"
+        foreign = scope["type"] == "websocket" if origin is None else origin.lower() != own
+        # A user may follow a link to the page from anywhere, which only shows the page.
+        visit = headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
         across = headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
-        if foreign or (across and not _is_visit(headers)):
+        if foreign or (across and not visit):
             return 403, "Requests from other pages are refused."
         cookie = headers.get("cookie", "")
         if scope["path"] not in self._open_paths and not self._access.cookie_allowed(cookie):
@@ -145,11 +131,6 @@ def split_host(host: str) -> tuple[str, int]:
     return name, int(port) if port.isascii() and port.isdigit() and len(port) <= 5 else -1
 
 
-def _is_visit(headers: Headers) -> bool:
-    """Whether a user follows a link to the page, which may come from anywhere and only shows the page."""
-    return headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
-
-
 def _is_address(name: str) -> bool:
     try:
         ipaddress.ip_address(name)
@@ -158,23 +139,8 @@ def _is_address(name: str) -> bool:
     return True
 
 
-def _with_headers(send: Any) -> Any:
-    async def sent(event: Any) -> None:
-        if event["type"] == "http.response.start":
-            own = list(event.get("headers", []))
-            named = {name for name, _ in own}
-            event = {**event, "headers": own + [one for one in HEADERS.items() if one[0] not in named]}
-        await send(event)
-
-    return sent
-
-
 MAX_CLIENTS = 16  # pages open at once
-ACTING = 16  # threads that do the pages' actions
-MAX_DIGITS = 9  # of a number in a path
 MAX_BODY = 1024  # bytes of a request; a token has 43
-BODY_S = 5.0  # s until a body has arrived
-TICK_S = 0.25  # s between checks for news while no frames arrive
 # A calibration's report holds its style and its pictures itself, and no script.
 REPORT_POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
@@ -190,14 +156,13 @@ TYPES = {
 
 def page_files() -> dict[str, bytes]:
     """The page's files by request path; nothing else from the disk is served."""
-    folder = resources.files("gelform.live") / "page"
     found = {}
-    folders = [("/", folder)]
+    folders = [("/", resources.files("gelform.live") / "page")]
     for place, one in folders:
         for entry in one.iterdir():
             if entry.is_dir():
                 folders.append((f"{place}{entry.name}/", entry))
-            elif any(entry.name.endswith(suffix) for suffix in TYPES):
+            elif PurePosixPath(entry.name).suffix in TYPES:
                 found[place + entry.name] = entry.read_bytes()
     found["/"] = found.pop("/index.html")
     return found
@@ -207,18 +172,17 @@ def make_app(hub: Hub, access: Access) -> Any:
     """The application, behind the guard."""
     files = page_files()
     clients: set[Client] = set()
-    threads = ThreadPoolExecutor(ACTING, "action")
+    threads = ThreadPoolExecutor(16, "action")
 
     async def page(request: Request) -> Response:
         name = request.url.path
-        suffix = ".html" if name == "/" else name[name.rfind(".") :]
-        headers = {"cache-control": "no-cache"}
-        return Response(files[name], media_type=TYPES[suffix], headers=headers)
+        media_type = TYPES[PurePosixPath(name).suffix or ".html"]
+        return Response(files[name], media_type=media_type, headers={"cache-control": "no-cache"})
 
     async def session(request: Request) -> Response:
         """Exchange the token for a cookie that scripts cannot read."""
         try:
-            given = await asyncio.wait_for(_body(request), BODY_S)
+            given = await asyncio.wait_for(_body(request), 5.0)
         except ClientDisconnect:
             return Response(status_code=400)
         except asyncio.TimeoutError:  # an alias of TimeoutError since Python 3.11
@@ -235,7 +199,7 @@ def make_app(hub: Hub, access: Access) -> Any:
         try:
             saved_as, content = await asyncio.to_thread(hub.snapshots.file, number, name)
         except GelformError as problem:
-            return Response(str(problem), 404, media_type="text/plain")
+            return PlainTextResponse(str(problem), 404)
         headers = {"content-disposition": f'attachment; filename="{saved_as}"', "cache-control": "no-store"}
         return Response(content, media_type="application/octet-stream", headers=headers)
 
@@ -243,22 +207,21 @@ def make_app(hub: Hub, access: Access) -> Any:
         try:
             path = hub.recordings.file(_number(request))
         except GelformError as problem:
-            return Response(str(problem), 404, media_type="text/plain")
-        headers = {"cache-control": "no-store"}
-        name = shown_name(path.name)
+            return PlainTextResponse(str(problem), 404)
+        headers, name = {"cache-control": "no-store"}, shown_name(path.name)
         return FileResponse(path, media_type="application/octet-stream", filename=name, headers=headers)
 
     async def report(request: Request) -> Response:
         session = hub.guides.get(_number(request))
         if session is None or (made := session.guide.made) is None:
-            return Response("There is no such report. It ends with the guide.", 404, media_type="text/plain")
+            return PlainTextResponse("There is no such report. It ends with the guide.", 404)
         headers = {"content-security-policy": REPORT_POLICY, "cache-control": "no-store"}
         return FileResponse(made.report_file, media_type=TYPES[".html"], headers=headers)
 
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
         if len(clients) >= MAX_CLIENTS:
-            await websocket.close(TOO_MANY, "too many pages are open")
+            await websocket.close(1013, "too many pages are open")  # RFC 6455, 7.4.1: try again later
             return
         client, name = Client(websocket, hub, threads), page_named(websocket.query_params.get("page", ""))
         clients.add(client)
@@ -269,19 +232,30 @@ def make_app(hub: Hub, access: Access) -> Any:
             clients.discard(client)
             hub.pages.left(name)
 
+    def wake() -> None:
+        for client in tuple(clients):
+            client.wake()
+
+    async def tick() -> None:
+        """Wake the clients at intervals, so that they get the state while no frames arrive."""
+        while True:
+            await asyncio.sleep(0.25)
+            wake()
+
     @contextlib.asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         loop = asyncio.get_running_loop()
-        hub.listen(lambda: _call(loop, wake))
-        ticking = asyncio.create_task(_tick(wake))
+
+        def changed() -> None:
+            with contextlib.suppress(RuntimeError):  # the loop was just closed; no client is left
+                loop.call_soon_threadsafe(wake)
+
+        hub.listen(changed)
+        ticking = asyncio.create_task(tick())
         yield
         ticking.cancel()
         hub.close()
         threads.shutdown(wait=False, cancel_futures=True)
-
-    def wake() -> None:
-        for client in tuple(clients):
-            client.wake()
 
     routes = [
         *[Route(path, page, methods=["GET"]) for path in files],
@@ -291,13 +265,14 @@ def make_app(hub: Hub, access: Access) -> Any:
         Route("/reports/{number}", report, methods=["GET"]),
         WebSocketRoute("/ws", socket),
     ]
-    return Guard(Starlette(routes=routes, lifespan=lifespan), access, (*OPEN_PATHS, *files))
+    # The page's files are open: they contain nothing secret.
+    return Guard(Starlette(routes=routes, lifespan=lifespan), access, ("/session", *files))
 
 
 def _number(request: Request) -> int:
     """The number in a path; -1, which nothing has, for any other text."""
     text = request.path_params["number"]
-    return int(text) if text.isascii() and text.isdigit() and len(text) <= MAX_DIGITS else -1
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= 9 else -1
 
 
 async def _body(request: Request) -> str | None:
@@ -311,15 +286,3 @@ async def _body(request: Request) -> str | None:
         return body.decode("ascii")
     except UnicodeDecodeError:
         return None
-
-
-async def _tick(wake: Any) -> None:
-    """Wake the clients at intervals, so that they get the state while no frames arrive."""
-    while True:
-        await asyncio.sleep(TICK_S)
-        wake()
-
-
-def _call(loop: asyncio.AbstractEventLoop, function: Any) -> None:
-    with contextlib.suppress(RuntimeError):  # the loop was just closed; no client is left
-        loop.call_soon_threadsafe(function)

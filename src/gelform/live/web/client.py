@@ -1,9 +1,8 @@
 """One browser: its messages, each checked completely, and the newest frame when it is ready for one.
 
-One browser: it gets the newest frame when it is ready for one; frames never wait in a queue.
-
-Credit: the page sends one credit per drawn picture, at once or shortly before it draws the next one. Without credit
-nothing is sent, and newer frames replace older ones. A slow or stalled page therefore affects only itself.
+Frames never wait in a queue. The page sends one credit per drawn picture, at once or shortly before it draws the next
+one. Without credit nothing is sent, and newer frames replace older ones. A slow or stalled page therefore affects only
+itself.
 """
 
 from __future__ import annotations
@@ -20,11 +19,12 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from gelform.errors import GelformError
+from gelform import GelformError
 from gelform.live import actions
 from gelform.live.hub import Hub, sentence_for_page
 from gelform.live.shown import ENCODINGS, PLANES, Shown, message
 from gelform.live.station import Station
+from gelform.sensors.recordings.player import Player
 
 MAX_BYTES, MAX_TEXT = 16 * 1024, 200  # bytes of a message; letters of a name
 
@@ -33,14 +33,11 @@ class MessageError(GelformError):
     """A client's message is unknown or malformed; the fault is the client's."""
 
 
-def station(value: Any) -> int:
-    """Check the number of a sensor."""
-    return _small(value, "station")
-
-
-def camera(value: Any) -> int:
-    """Check the number of a camera in the list of devices."""
-    return _small(value, "camera")
+def small(value: Any) -> int:
+    """Check the number of a sensor, or of a camera in the list of devices."""
+    if type(value) is not int or not 0 <= value < 64:
+        raise MessageError("Expected a station or a camera as a small whole number.")
+    return value
 
 
 def text(value: Any) -> str:
@@ -50,14 +47,11 @@ def text(value: Any) -> str:
     return value
 
 
-def number(value: Any) -> float:
+def number(value: Any, most: float = 1e6) -> float:
     """Check a finite number."""
-    return _within(value, 1e6)
-
-
-def time_ms(value: Any) -> float:
-    """Check a time of the page's clock."""
-    return _within(value, 1e15)
+    if type(value) not in (int, float) or not abs(value) <= most:
+        raise MessageError("Expected a finite number.")
+    return float(value)
 
 
 def yes_no(value: Any) -> bool:
@@ -67,54 +61,42 @@ def yes_no(value: Any) -> bool:
     return value
 
 
-@dataclass(frozen=True)
-class Command:
-    """An action on a station, which may return an answer, and the check of each of its fields."""
-
-    act: Callable[..., dict[str, Any] | None]
-    fields: dict[str, Callable[[Any], Any]]
-
-
-COMMANDS = {
-    "background": Command(actions.take_background, {"station": station}),
-    "starter": Command(actions.take_starter, {"station": station, "sensor": text}),
-    "undo_background": Command(actions.undo_background, {"station": station}),
-    "zero": Command(actions.set_zero, {"station": station}),
-    "calibration": Command(actions.use_calibration, {"station": station, "name": text}),
-    "solver": Command(actions.use_solver, {"station": station, "name": text}),
-    "guide_start": Command(
-        actions.guide_start,
-        {"station": station, "ball_diameter_mm": number, "profile": text, "mm_per_px": number},
-    ),
-    "guide_click": Command(actions.guide_click, {"station": station, "x_px": number, "y_px": number}),
-    "guide_fit": Command(actions.guide_fit, {"station": station}),
-    "guide_use": Command(actions.guide_use, {"station": station}),
-    "guide_more": Command(actions.guide_more, {"station": station}),
-    "guide_stop": Command(actions.guide_stop, {"station": station}),
-    "record": Command(actions.record, {"station": station, "on": yes_no, "page": text}),
-    "snapshot": Command(actions.snapshot, {"station": station}),
-    "motion": Command(actions.follow_motion, {"station": station, "on": yes_no}),
-    "pause": Command(actions.pause, {"station": station, "paused": yes_no}),
-    "camera": Command(actions.set_camera, {"station": station, "name": text, "value": number}),
-    "show": Command(actions.show_camera, {"station": station, "camera": camera}),
-    "open": Command(actions.open_recording, {"station": station, "name": text}),
-    "play": Command(actions.play, {"station": station, "playing": yes_no}),
-    "seek": Command(actions.seek, {"station": station, "frame": number}),
-    "step": Command(actions.step, {"station": station, "by": number}),
-    "speed": Command(actions.speed, {"station": station, "speed": number}),
-    "loop": Command(actions.loop, {"station": station, "loop": yes_no}),
-    "share": Command(actions.share, {"station": station}),
-    "press": Command(actions.press, {"station": station, "x_px": number, "y_px": number}),
+# A button's action on a station, and the check of each field of its message besides the station's number. An action
+# may return an answer.
+COMMANDS: dict[str, tuple[Callable[..., dict[str, Any] | None], dict[str, Callable[[Any], Any]]]] = {
+    "background": (actions.take_background, {}),
+    "starter": (actions.take_starter, {"sensor": text}),
+    "undo_background": (actions.undo_background, {}),
+    "zero": (actions.set_zero, {}),
+    "calibration": (actions.use_calibration, {"name": text}),
+    "solver": (actions.use_solver, {"name": text}),
+    "guide_start": (actions.guide_start, {"ball_diameter_mm": number, "profile": text, "mm_per_px": number}),
+    "guide_click": (actions.guide_click, {"x_px": number, "y_px": number}),
+    "guide_fit": (actions.guide_fit, {}),
+    "guide_use": (actions.guide_use, {}),
+    "guide_more": (actions.guide_more, {}),
+    "guide_stop": (actions.guide_stop, {}),
+    "record": (actions.record, {"on": yes_no, "page": text}),
+    "snapshot": (actions.snapshot, {}),
+    "motion": (actions.follow_motion, {"on": yes_no}),
+    "pause": (actions.pause, {"paused": yes_no}),
+    "camera": (actions.set_camera, {"name": text, "value": number}),
+    "show": (actions.show_camera, {"camera": small}),
+    "open": (actions.open_recording, {"name": text}),
+    "play": (actions.on_player(Player.play), {"playing": yes_no}),
+    "seek": (actions.on_player(Player.seek), {"frame": number}),
+    "step": (actions.on_player(Player.step), {"by": number}),
+    "speed": (actions.on_player(Player.set_speed), {"speed": number}),
+    "loop": (actions.on_player(Player.loop), {"loop": yes_no}),
+    "share": (actions.share, {}),
+    "press": (actions.press, {"x_px": number, "y_px": number}),
 }
 
 
 def parsed(message: str) -> dict[str, Any]:
     """A message's fields: a JSON object with a word `do`.
 
-    Raises
-    ------
-    MessageError
-        The message is too long, no JSON, no object, or lacks `do`.
+    MessageError: the message is too long, no JSON, no object, or lacks `do`.
     """
     if len(message) > MAX_BYTES:
         raise MessageError(f"Expected a message of at most {MAX_BYTES} bytes.")
@@ -127,54 +109,31 @@ def parsed(message: str) -> dict[str, Any]:
     return content
 
 
-def done(hub: Hub, content: dict[str, Any]) -> dict[str, Any] | None:
-    """Do the action of a message; return its answer, if there is one.
-
-    Raises
-    ------
-    MessageError
-        The command is unknown, or fields are missing, unknown or of the wrong type.
-    GelformError
-        The action failed, or another one of the same station lasts; the text is for the user.
-    """
-    command = COMMANDS.get(content["do"])
-    if command is None:
-        raise MessageError("Expected one of the known commands.")
-    given = {name: value for name, value in content.items() if name != "do"}
-    if given.keys() != command.fields.keys():
-        raise MessageError(f"Expected the fields {', '.join(command.fields)}.")
-    checked = {name: check(given[name]) for name, check in command.fields.items()}
-    with hub.turn(checked["station"]):
-        return command.act(hub, **checked)
-
-
-def _within(value: Any, most: float) -> float:
-    if type(value) not in (int, float) or not abs(value) <= most:
-        raise MessageError("Expected a finite number.")
-    return float(value)
-
-
-def _small(value: Any, name: str) -> int:
-    if type(value) is not int or not 0 <= value < 64:
-        raise MessageError(f"Expected {name} as a small whole number.")
-    return value
-
-
 def _no_constant(name: str) -> None:
     raise ValueError(f"{name} is no JSON")
 
 
-MAX_CREDIT = 4  # per station
-SURFACE = ("depth", "unknown")  # planes of the stations that a client shows small
-MAX_ACTIONS = 8  # of a client at once; its further messages wait
-MAX_REPLIES = 32  # replies that wait for a client at most
+def done(hub: Hub, content: dict[str, Any]) -> dict[str, Any] | None:
+    """Do the action of a message; return its answer, if there is one.
+
+    MessageError: the command is unknown, or fields are missing, unknown or of the wrong type. GelformError: the action
+    failed, or another one of the same station lasts; the text is for the user.
+    """
+    if content["do"] not in COMMANDS:
+        raise MessageError("Expected one of the known commands.")
+    act, checks = COMMANDS[content["do"]]
+    if content.keys() != {"do", "station", *checks}:
+        raise MessageError(f"Expected the fields {', '.join(('station', *checks))}.")
+    checked = {name: check(content[name]) for name, check in checks.items()}
+    with hub.turn(small(content["station"])) as station:
+        return act(hub, station, **checked)
+
+
 STATE_EVERY_S = 0.25  # s between messages about the state
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 200.0, 400.0  # limits per client; a page at 60 frames/s sends 70
-MAX_NUMBERS, MAX_OLDER = (
-    240,
-    1200,
-)  # rows for the curves per frame: the newest singly, and as many groups of earlier ones
-POLICY, TOO_MANY = 1008, 1013  # close codes: RFC 6455, 7.4.1
+# Rows for the curves per frame: the newest singly, and as many groups of earlier ones.
+MAX_NUMBERS, MAX_OLDER = 240, 1200
+POLICY = 1008  # close code: RFC 6455, 7.4.1
 
 
 @dataclass
@@ -188,24 +147,20 @@ class Watched:
 
 
 class Client:
-    """A websocket of a page.
+    """A page's websocket, already accepted.
 
-    Parameters
-    ----------
-    socket : accepted
-    hub : the hub that it shows
-    threads : do the actions, apart from those that encode frames: an action may wait for frames
+    `threads` do the actions, apart from those that encode frames: an action may wait for frames.
     """
 
     def __init__(self, socket: WebSocket, hub: Hub, threads: Executor) -> None:
         self._socket, self._hub, self._threads = socket, hub, threads
-        self._may_act = asyncio.Semaphore(MAX_ACTIONS)
+        self._may_act = asyncio.Semaphore(8)  # actions at once; further messages wait
         self._wake = asyncio.Event()
         self._watched = Watched()
         self._credit = 0
         self._sent: dict[int, int] = {}
         self._turns: dict[int, float] = {}
-        self._replies: deque[dict[str, Any]] = deque(maxlen=MAX_REPLIES)
+        self._replies: deque[dict[str, Any]] = deque(maxlen=32)
         self._state_at = 0.0
         self._noticed = hub.notices[-1][0] if hub.notices else 0
         self._allowance, self._heard_at = MESSAGES_AT_ONCE, time.monotonic()
@@ -231,22 +186,22 @@ class Client:
         while True:
             await self._wake.wait()
             self._wake.clear()
-            await self._send_words()
+            while self._replies:
+                await self._send_words(self._replies.popleft())
+            now = time.monotonic()
+            if now - self._state_at >= STATE_EVERY_S:
+                self._state_at = now
+                facts = self._hub.facts(self._noticed)
+                if facts["notices"]:
+                    self._noticed = facts["notices"][-1][0]
+                await self._send_words({"kind": "state", **facts})
             # Longest wait first: with little credit each station gets its turn.
             for number in sorted(self._watched.stations, key=lambda one: self._turns.get(one, 0.0)):
                 if self._credit > 0 and number < len(self._hub.stations):
                     await self._send_frame(self._hub.stations[number])
 
-    async def _send_words(self) -> None:
-        while self._replies:
-            await self._socket.send_text(_json(self._replies.popleft()))
-        now = time.monotonic()
-        if now - self._state_at >= STATE_EVERY_S:
-            self._state_at = now
-            facts = self._hub.facts(self._noticed)
-            if facts["notices"]:
-                self._noticed = facts["notices"][-1][0]
-            await self._socket.send_text(_json({"kind": "state", **facts}))
+    async def _send_words(self, content: dict[str, Any]) -> None:
+        await self._socket.send_text(json.dumps(content, separators=(",", ":"), allow_nan=False))
 
     async def _send_frame(self, station: Station) -> None:
         shown, before = station.newest, self._sent.get(station.number, 0)
@@ -266,32 +221,27 @@ class Client:
                 text = await self._socket.receive_text()
             except (WebSocketDisconnect, KeyError, RuntimeError):  # closed, or bytes instead of text
                 return
-            if not self._may_speak():
-                await self._socket.close(POLICY, "too many messages")
-                return
+            now = time.monotonic()
+            earned = MESSAGES_PER_S * (now - self._heard_at)
+            self._allowance, self._heard_at = min(MESSAGES_AT_ONCE, self._allowance + earned) - 1, now
             try:
+                if self._allowance <= 0:
+                    raise MessageError("too many messages")
                 await self._heard(parsed(text))
             except MessageError as problem:
                 await self._socket.close(POLICY, str(problem)[:120])
                 return
 
-    def _may_speak(self) -> bool:
-        now = time.monotonic()
-        earned = MESSAGES_PER_S * (now - self._heard_at)
-        self._allowance, self._heard_at = min(MESSAGES_AT_ONCE, self._allowance + earned) - 1, now
-        return self._allowance > 0
-
     async def _heard(self, content: dict[str, Any]) -> None:
         what = content["do"]
         if what == "credit":
-            self._credit = min(MAX_CREDIT * len(self._watched.stations), self._credit + 1)
+            self._credit = min(4 * len(self._watched.stations), self._credit + 1)
         elif what == "watch":
             self._watched = watched_from(content)
             self._sent.clear()
         elif what == "ping":
-            self._replies.append(
-                {"kind": "pong", "sent": time_ms(content.get("sent")), "now_s": time.monotonic()}
-            )
+            sent = number(content.get("sent"), 1e15)  # ms, of the page's clock
+            self._replies.append({"kind": "pong", "sent": sent, "now_s": time.monotonic()})
         else:
             await self._may_act.acquire()
             acting = asyncio.get_running_loop().create_task(self._act(content))
@@ -319,23 +269,21 @@ class Client:
 
 def watched_from(content: dict[str, Any]) -> Watched:
     """The selection in a message; MessageError for values outside the lists."""
-    stations, planes, encoding = (content.get(name) for name in ("stations", "planes", "encoding"))
+    stations, planes, few = content.get("stations"), content.get("planes"), content.get("few", [])
     if not isinstance(stations, list) or not isinstance(planes, list) or len(stations) > 16:
         raise MessageError("Expected stations and planes as lists.")
-    if encoding not in ENCODINGS or not all(plane in PLANES for plane in planes):
+    if content.get("encoding") not in ENCODINGS or not all(plane in PLANES for plane in planes):
         raise MessageError("Expected planes and an encoding that are known.")
-    few = content.get("few", [])
     if not isinstance(few, list) or len(few) > 16:
         raise MessageError("Expected few as a list.")
-    numbers = list(dict.fromkeys(station(one) for one in stations))
-    return Watched(numbers, list(dict.fromkeys(planes)), encoding, [station(one) for one in few])
+    numbers = list(dict.fromkeys(map(small, stations)))
+    return Watched(numbers, list(dict.fromkeys(planes)), content["encoding"], [small(one) for one in few])
 
 
 def _encoded(station: Station, shown: Shown, before: int, watched: Watched) -> bytes:
     numbers = thinned(station.numbers_since(before))
-    header = {**shown.header(), "station": station.number, "numbers": [list(row[1:]) for row in numbers]}
-    header["sent_s"] = time.monotonic()
-    planes = SURFACE if station.number in watched.few else watched.planes
+    header = {**shown.header(), "station": station.number, "numbers": [row[1:] for row in numbers]}
+    planes = ("depth", "unknown") if station.number in watched.few else watched.planes
     return message(header, shown.planes(planes, watched.encoding))
 
 
@@ -345,7 +293,3 @@ def thinned(rows: Sequence[tuple[float, ...]]) -> list[tuple[float, ...]]:
     size = -(-len(older) // MAX_OLDER) or 1
     deepest = [max(older[k : k + size], key=itemgetter(2)) for k in range(0, len(older), size)]
     return deepest + newest
-
-
-def _json(content: dict[str, Any]) -> str:
-    return json.dumps(content, separators=(",", ":"), allow_nan=False)

@@ -8,10 +8,8 @@ from typing import Any
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-REQUEST_S = (
-    5.0  # s until a connection has sent a whole request; browsers keep idle connections for the next one
-)
-LOOKED_S = 0.5  # s between two looks at a connection
+# Until a connection has sent a whole request; browsers keep idle connections for the next one.
+REQUEST_S = 5.0
 
 
 class HttpConnection(H11Protocol):
@@ -48,7 +46,7 @@ class HttpConnection(H11Protocol):
         if self.is_silent and self.loop.time() - self.silent_since_s >= REQUEST_S:
             self.transport.abort()
         else:
-            self.loop.call_later(LOOKED_S, self._look)
+            self.loop.call_later(0.5, self._look)
 
 
 class WebsocketConnection(WebSocketsSansIOProtocol):

@@ -12,24 +12,16 @@ from typing import Any
 from gelform.errors import GelformError, needed
 from gelform.live.hub import Hub
 
-PORT, PORTS_TRIED = 8765, 20  # first port, and number of ports that are tried
-MAX_MESSAGE = 64 * 1024  # bytes of a page's message
 MAX_CONNECTIONS = 128  # 16 pages with their files
 ALL_ADDRESSES = ("0.0.0.0", "::")
 
 
 @dataclass(frozen=True)
 class Server:
-    """A server that already listens; it answers once `serve` is called.
+    """A server that already listens; it answers once `serve` is called."""
 
-    Attributes
-    ----------
-    url : address to open, with the token if there is one
-    token : None if only this machine has access
-    """
-
-    url: str
-    token: str | None
+    url: str  # to open, with the token if there is one
+    token: str | None  # None if only this machine has access
     _socket: socket.socket
     _host: str
 
@@ -69,7 +61,7 @@ class Server:
             server_header=False,
             http=HttpConnection,
             ws=WebsocketConnection,
-            ws_max_size=MAX_MESSAGE,
+            ws_max_size=64 * 1024,  # bytes of a page's message
             ws_ping_interval=10.0,
             ws_ping_timeout=20.0,
             ws_per_message_deflate=False,
@@ -81,18 +73,10 @@ class Server:
 
 
 def listen(host: str = "127.0.0.1", port: int | None = None, *, token: bool = False) -> Server:
-    """Listen on a port.
+    """Listen on a port, by default on 8765 or the next free one; other machines than this one need a token.
 
-    Parameters
-    ----------
-    host : by default only this machine; for others a token is made
-    port : None: 8765, or the next free one
-    token : whether to require one on this machine too, if others use it
-
-    Raises
-    ------
-    GelformError
-        The extra is not installed, the port is in use, or the host does not exist.
+    `token` requires one on this machine too, if others use it. GelformError: the extra is not installed, the port is in
+    use, or the host does not exist.
     """
     check_extra()
     taken = _bound(host, port)
@@ -119,7 +103,7 @@ def is_loopback(host: str) -> bool:
 
 def _bound(host: str, port: int | None) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    for one in [port] if port is not None else [*range(PORT, PORT + PORTS_TRIED), 0]:
+    for one in [port] if port is not None else [*range(8765, 8785), 0]:
         try:
             taken = socket.create_server((host, one), family=family, backlog=64)
             taken.setblocking(False)

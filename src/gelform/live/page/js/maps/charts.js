@@ -136,13 +136,12 @@ export class Pointer {
 
 /** The depth of a row and a column, and where they cross, NaN where it is not known: {x, alongX, y, alongY, depth}, places in the unit of the depth from the image's left and top. */
 export function profilesThrough(frame, [column, row]) {
-  const map = frame.map("depth"), [pitchX, pitchY] = frame.pitch(map), { width, height, values, zero, step } = map, unknown = frame.planes.unknown?.values;
-  const depthAt = (at) => (unknown && unknown[at] & 1 ? NaN : (values[at] - zero) * step);
-  const c = Math.min(width - 1, Math.round(column / map.scale)), r = Math.min(height - 1, Math.round((row * height) / frame.height));
+  const map = frame.map("depth"), [pitchX, pitchY] = frame.pitch(map), { width, height } = map, place = frame.placeIn(map, column, row);
+  const depths = (count, from, step) => Array.from({ length: count }, (_, k) => frame.depthIn(map, from + k * step));
   return {
-    x: Array.from({ length: width }, (_, k) => k * pitchX), alongX: Array.from({ length: width }, (_, k) => depthAt(r * width + k)),
-    y: Array.from({ length: height }, (_, k) => k * pitchY), alongY: Array.from({ length: height }, (_, k) => depthAt(k * width + c)),
-    depth: depthAt(r * width + c),
+    x: Array.from({ length: width }, (_, k) => k * pitchX), alongX: depths(width, place - (place % width), 1),
+    y: Array.from({ length: height }, (_, k) => k * pitchY), alongY: depths(height, place % width, width),
+    depth: frame.depthIn(map, place),
   };
 }
 

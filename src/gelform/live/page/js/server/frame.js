@@ -55,12 +55,19 @@ export class Frame {
     return plane ? { ...plane, scale: this.width / plane.width } : null;
   }
 
+  /** The place of the pixel of a map that shows a pixel of the image. */
+  placeIn(map, x, y) {
+    const column = Math.min(map.width - 1, Math.round(x / map.scale)), row = Math.min(map.height - 1, Math.round((y * map.height) / this.height));
+    return row * map.width + column;
+  }
+
+  /** The depth at a place of its map; NaN where it is not known. */
+  depthIn(map, place) { return (this.planes.unknown?.values[place] ?? 0) & 1 ? NaN : (map.values[place] - map.zero) * map.step; }
+
   /** The depth at a pixel of the image; NaN where it is not known, or beside the image. */
   depthAt(x, y) {
     const map = this.map("depth");
-    if (!map || x < 0 || y < 0 || x > this.width - 1 || y > this.height - 1) return NaN;
-    const column = Math.min(map.width - 1, Math.round(x / map.scale)), row = Math.min(map.height - 1, Math.round((y * map.height) / this.height)), at = row * map.width + column;
-    return (this.planes.unknown?.values[at] ?? 0) & 1 ? NaN : (map.values[at] - map.zero) * map.step;
+    return map && x >= 0 && y >= 0 && x <= this.width - 1 && y <= this.height - 1 ? this.depthIn(map, this.placeIn(map, x, y)) : NaN;
   }
 
   /** Width and height of a pixel of a map, in the unit of the depth. */
