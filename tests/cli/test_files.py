@@ -18,7 +18,6 @@ from gelform.calibration_file import load_calibration
 from gelform.cli import files as outputs
 from gelform.cli.files import (
     Inputs,
-    NewPicture,
     check_output,
     check_results,
     make_folder,
@@ -91,10 +90,9 @@ def test_results_that_are_there_and_inputs_are_protected(tmp_path):
 
 def test_pictures_replace_neither_images_nor_calibrations(tmp_path):
     images = [tmp_path / "a.png", tmp_path / "b.png"]
-    assert new_pictures(images, None, overwrite=False) == [None, None]
+    assert new_pictures(images, None, overwrite=False) == [(image, None) for image in images]
     out = tmp_path / "out"
-    named = new_pictures(images, out, overwrite=False)
-    assert named == [NewPicture(out / "a.png", False), NewPicture(out / "b.png", False)]
+    assert new_pictures(images, out, overwrite=False) == [(image, out / image.name) for image in images]
     for folder, read in ((tmp_path, [None]), (out, [None, out / "a.png"])):
         with pytest.raises(DataError, match="would replace an input"):
             new_pictures(images, folder, overwrite=True, read=read)
@@ -166,7 +164,7 @@ def test_another_size_names_the_file(calibration, tmp_path):
     save_picture(tmp_path / "small.png", np.zeros((60, 80, 3), dtype=np.uint8))
     small = tmp_path / "small.png"
     for read in (partial(Inputs().image, small), Inputs(background=small).background_for):
-        with pytest.raises(DataError, match=r"small\.png, for .*120x160.*60x80"):
+        with pytest.raises(DataError, match=r"small\.png, for .*120x160.*60x80\. Use the calibration of"):
             read(calibration)
 
 

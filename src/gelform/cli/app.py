@@ -9,6 +9,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
+import gelform
 from gelform.cli.commands import calibrations, force
 from gelform.cli.commands.batch import batch, verify
 from gelform.cli.commands.calibrate import calibrate, starter
@@ -89,20 +90,14 @@ def _typer(name: str, **settings: Any) -> typer.Typer:
     )
 
 
-def _below(name: str) -> typer.Typer:
-    """The commands below a command, such as `gelform calibrations`."""
-    module = SUBCOMMANDS[name]
-    made = _typer(name, help=module.__doc__, short_help=module.SUMMARY)
-    for command in module.COMMANDS:
-        made.command(_name(command), cls=GivenOnce)(flat(command))
-    return made
-
-
 app = _typer("gelform", cls=Commands, add_completion=False, pretty_exceptions_enable=False)
 for command in (one for commands in GROUPS.values() for one in commands if not isinstance(one, str)):
     app.command(_name(command), cls=GivenOnce)(flat(command))
-for name in SUBCOMMANDS:
-    app.add_typer(_below(name))
+for name, module in SUBCOMMANDS.items():
+    below = _typer(name, help=module.__doc__, short_help=module.SUMMARY)
+    for command in module.COMMANDS:
+        below.command(_name(command), cls=GivenOnce)(flat(command))
+    app.add_typer(below)
 
 
 def command_names() -> tuple[str, ...]:
@@ -112,9 +107,7 @@ def command_names() -> tuple[str, ...]:
 
 def _print_version(asked: bool) -> None:
     if asked:
-        from gelform import __version__
-
-        typer.echo(f"gelform {__version__}")
+        typer.echo(f"gelform {gelform.__version__}")
         raise typer.Exit
 
 

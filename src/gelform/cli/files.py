@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,28 +13,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import BadParameter
 
+import gelform
+from gelform import sensors
+from gelform.calibration import report
+from gelform.cli import options
 from gelform.cli.console import check_pictures, json_bytes, say
-from gelform.cli.options import (
-    STARTERS,
-    Background,
-    Bgr,
-    OptionalCalibration,
-    StarterSensor,
-    number,
-    one_of,
-    pitch,
-)
 from gelform.cli.process import mistakes_in
 from gelform.errors import DataError, GelformError
 from gelform.foundations.findings import Progress
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from gelform.arrays import Array, Image, Map
     from gelform.calibration.presses.folder import Presses
-    from gelform.calibration_file import Calibration
-    from gelform.reconstruct import Reconstructor
 
 REPORT_FILES = ("report.html", "report.json", "circles.csv")
 
@@ -78,31 +69,16 @@ def check_results(paths: Sequence[dict[str, Path]], *, overwrite: bool, protecte
         sweep(folder)
 
 
-@dataclass(frozen=True)
-class NewPicture:
-    """A picture to write."""
-
-    path: Path
-    overwrite: bool
-
-    def save(self, pixels: NDArray[np.uint8]) -> None:
-        """Write it; a missing folder is made."""
-        from gelform.exchange.plots import save_picture
-
-        make_folder(self.path.parent)
-        save_picture(self.path, pixels, overwrite=self.overwrite)
-
-
 def new_pictures(
     images: Sequence[Path], folder: Path | None, *, overwrite: bool, read: Sequence[Path | None] = ()
-) -> list[NewPicture | None]:
-    """The picture of each image, None for each without a folder; checked before any work, and `read` is not replaced."""
+) -> list[tuple[Path, Path | None]]:
+    """Each image with its picture, None without a folder; checked before any work, and `read` is not replaced."""
     if folder is None:
-        return [None] * len(images)
+        return [(image, None) for image in images]
     check_pictures()
     paths = result_paths(images, folder, ["png"])
     check_results(paths, overwrite=overwrite, protected=[*images, *filter(None, read)])
-    return [NewPicture(one["png"], overwrite) for one in paths]
+    return [(image, one["png"]) for image, one in zip(images, paths)]
 
 
 def check_output(path: Path, *, overwrite: bool) -> None:
@@ -153,26 +129,28 @@ def check_report_folder(folder: Path, overwrite: bool) -> None:
 
 
 def content_of(
-    presses: Presses, calibration: Calibration, progress: Progress, *, with_learning: bool
+    presses: Presses, calibration: gelform.Calibration, progress: Progress, *, with_learning: bool
 ) -> dict[str, Any]:
     """The report as numbers and text. The learning curve costs a dozen calibrations and adds a section."""
     import numpy as np
 
-    from gelform.calibration.report.content import report_content
-    from gelform.calibration.report.learning import learning_curve
-
-    rng = np.random.default_rng(0)
-    learning = learning_curve(presses, calibration, rng=rng, progress=progress) if with_learning else None
-    return report_content(presses, calibration, rng=rng, learning=learning)
+    rng, learning = np.random.default_rng(0), None
+    if with_learning:
+        learning = report.learning_curve(presses, calibration, rng=rng, progress=progress)
+    content: dict[str, Any] = report.report_content(presses, calibration, rng=rng, learning=learning)
+    return content
 
 
 def write_report(
-    content: dict[str, Any], presses: Presses, calibration: Calibration, folder: Path, *, overwrite: bool
+    content: dict[str, Any],
+    presses: Presses,
+    calibration: gelform.Calibration,
+    folder: Path,
+    *,
+    overwrite: bool,
 ) -> None:
     """Write the files of `--report`: the page, its numbers, and the circles as a table."""
-    from gelform.calibration.report.page import report_page
-
-    page = report_page(content, presses, calibration)
+    page = report.report_page(content, presses, calibration)
     files = (page.encode(), json_bytes(content), _circles_csv(calibration.report.presses))
     _write_all({folder / name: data for name, data in zip(REPORT_FILES, files)}, overwrite)
 
@@ -210,13 +188,13 @@ def _circles_csv(rows: Any) -> bytes:
 class Inputs:
     """What reads frames: a calibration (a file, else the library's newest of the unit, else a starter), and a background."""
 
-    calibration: OptionalCalibration = None
-    sensor: StarterSensor = None
+    calibration: options.OptionalCalibration = None
+    sensor: options.StarterSensor = None
     mm_per_px: Annotated[
-        float | None, number("For a starter: width of an image pixel on the gel, mm.", pitch)
+        float | None, options.number("For a starter: width of an image pixel on the gel, mm.", options.pitch)
     ] = None
-    background: Background = None
-    bgr: Bgr = False
+    background: options.Background = None
+    bgr: options.Bgr = False
 
     def __post_init__(self) -> None:
         """Refuse options that exclude each other; a starter needs the background image."""
@@ -224,7 +202,7 @@ class Inputs:
             if self.mm_per_px is not None:
                 raise BadParameter("is of a starter: name it with --sensor.", param_hint="--mm-per-px")
             return
-        one_of(self.sensor, STARTERS, "--sensor")
+        options.one_of(self.sensor, options.STARTERS, "--sensor")
         if self.calibration is not None:
             raise BadParameter(
                 "-c names the calibration already. Leave one of them out.", param_hint="--sensor"
@@ -235,30 +213,24 @@ class Inputs:
                 param_hint="--background",
             )
 
-    def calibration_of(self, source: str | Sequence[Path], quiet: bool) -> Calibration:
+    def calibration_of(self, source: str | Sequence[Path], quiet: bool) -> gelform.Calibration:
         """The calibration for a source or for files of images; says which one it is unless it is a file's."""
-        from gelform.calibration.library.library import (
-            NoCalibration,
-            choose_calibration,
-            unit_of,
-            unit_of_all,
-        )
-        from gelform.calibration_file import load_calibration
+        from gelform.calibration.library import library
 
         if self.calibration is not None:
-            return load_calibration(self.calibration)
-        unit = unit_of(source) if isinstance(source, str) else unit_of_all(source)
+            return gelform.load_calibration(self.calibration)
+        unit = library.unit_of(source) if isinstance(source, str) else library.unit_of_all(source)
         try:
-            chosen = choose_calibration(unit, ready=self.sensor is None)
-        except NoCalibration as problem:
+            chosen = library.choose_calibration(unit, ready=self.sensor is None)
+        except library.NoCalibration as problem:
             return self.starter(unit.serial, problem, quiet)
         say(chosen.said, quiet)
         return chosen.calibration
 
-    def starter(self, serial: str, missing: GelformError, quiet: bool) -> Calibration:
+    def starter(self, serial: str, missing: GelformError, quiet: bool) -> gelform.Calibration:
         """The requested starter's calibration, announced to the user; raises `missing` with advice if none is requested."""
         if self.sensor is None or self.background is None:
-            known = ", ".join(STARTERS)
+            known = ", ".join(options.STARTERS)
             raise type(missing)(
                 f"{missing} Or take a starter, with an image of the gel at rest: --sensor NAME ({known}) --background IMG."
             )
@@ -271,27 +243,19 @@ class Inputs:
         )
         return made
 
-    def background_for(self, calibration: Calibration) -> NDArray[np.float32] | None:
+    def background_for(self, calibration: gelform.Calibration) -> Map | None:
         """The background image from the file or the folder of frames; None without one."""
-        from gelform.sensors.files import read_background
-
         path = self.background
-        return None if path is None else _viewed(read_background(path), path, calibration)
+        return None if path is None else _viewed(sensors.read_background(path), path, calibration)
 
-    def image(self, path: Path, calibration: Calibration) -> NDArray[np.uint8]:
+    def image(self, path: Path, calibration: gelform.Calibration) -> Image:
         """The image (H, W, 3), RGB, of a camera frame in a file."""
-        from gelform.sensors.files import read_image
-
-        frame = read_image(path, most_pixels=calibration.most_pixels, bgr=self.bgr)
+        frame = gelform.read_image(path, most_pixels=calibration.most_pixels, bgr=self.bgr)
         return _viewed(frame, path, calibration)
 
-    def reconstructor(self, calibration: Calibration | Path, **settings: Any) -> Reconstructor:
+    def reconstructor(self, calibration: gelform.Calibration, **settings: Any) -> gelform.Reconstructor:
         """A Reconstructor of a calibration with the background, if there is one."""
-        from gelform.calibration_file import as_calibration
-        from gelform.reconstruct import Reconstructor
-
-        loaded = as_calibration(calibration)
-        return Reconstructor(loaded, background=self.background_for(loaded), **settings)
+        return gelform.Reconstructor(calibration, background=self.background_for(calibration), **settings)
 
     def images(self, paths: Sequence[Path]) -> list[Path]:
         """The images of files and folders, without the background; DataError for a video or another file of several."""
@@ -305,8 +269,6 @@ class Inputs:
 
     def images_or_film(self, paths: Sequence[Path], dataset: str = "") -> tuple[list[Path], Path | None]:
         """The images of files, folders and patterns; or the one video, recording or file of several images among them."""
-        import glob
-
         from gelform.batch.containers import is_container
         from gelform.batch.inputs import listing_of
         from gelform.sensors.files import FILM_SUFFIXES, is_stack
@@ -328,17 +290,16 @@ class Inputs:
         return images, None
 
 
-def starter_calibration(sensor: str, background: Path, *, bgr: bool = False, **known: Any) -> Calibration:
+def starter_calibration(
+    sensor: str, background: Path, *, bgr: bool = False, **known: Any
+) -> gelform.Calibration:
     """The calibration of a unit from an image of its gel at rest, or a folder of several, by its make's starter.
 
     `known` are mm_per_px, serial and gel_id, as `calibration_from_background` takes them.
     """
-    from gelform.calibration.starters import calibration_from_background
-    from gelform.sensors.files import read_background
-
-    untouched = read_background(background, bgr=bgr)
+    untouched = sensors.read_background(background, bgr=bgr)
     with mistakes_in(background), named(background):
-        return calibration_from_background(untouched, sensor, **known)
+        return gelform.calibration_from_background(untouched, sensor, **known)
 
 
 @contextmanager
@@ -350,9 +311,18 @@ def named(path: Path) -> Iterator[None]:
         raise type(problem)(f"{path}: {problem}") from problem
 
 
-def _viewed(frame: NDArray[Any], path: Path, calibration: Calibration) -> NDArray[Any]:
-    from gelform.foundations.checks import check_image
-    from gelform.image.view import image_from_frame
-
+def _viewed(frame: Array, path: Path, calibration: gelform.Calibration) -> Array:
     with mistakes_in(f"{path}, for the calibration of {calibration.sensor_name}"):
-        return check_image(image_from_frame(frame, calibration.view), shape=calibration.image_shape)
+        image = gelform.image_from_frame(frame, calibration.view)
+        if image.shape[:2] != calibration.image_shape:
+            raise ValueError(f"Expected image of {other_size(image.shape, [calibration.image_shape])}")
+    return image
+
+
+def other_size(given: Sequence[int], expected: Sequence[Sequence[int]]) -> str:
+    """The end of a sentence about images of another size (height, width) than those of the calibration: what to do."""
+    sizes = " or ".join(f"{height}x{width}" for height, width in expected)
+    return (
+        f"{sizes} px (height x width), got {given[0]}x{given[1]}. Use the calibration of this sensor, or calibrate with "
+        "images of this size."
+    )

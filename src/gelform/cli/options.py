@@ -7,7 +7,7 @@ import inspect
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
@@ -176,9 +176,9 @@ class ShownOption:
         say(text, self.quiet)
 
     def table(self, title: str, columns: Columns, rows: Rows) -> None:
-        """Print a table for the user."""
-        if not self.silent:
-            show_table(title, columns, rows)
+        """Print a table for the user, unless it is empty."""
+        if not self.silent and (listed := list(rows)):
+            show_table(title, columns, listed)
 
     def json(self, content: Mapping[str, Any]) -> None:
         """Print the numbers as JSON, if requested."""
@@ -211,16 +211,14 @@ class PressOptions:
 
 def flat(function: Callable[..., None]) -> Callable[..., None]:
     """Flatten a command for typer: each field of a dataclass of options becomes a parameter."""
-    hints = get_type_hints(function, include_extras=True)
     parameters: list[inspect.Parameter] = []
     groups: dict[str, Any] = {}
-    for parameter in inspect.signature(function).parameters.values():
-        kind = as_written(hints[parameter.name])
-        if is_dataclass(kind):
-            groups[parameter.name] = kind
-            parameters += _parameters_of(kind)
+    for parameter in _typed_parameters(function):
+        if is_dataclass(parameter.annotation):
+            groups[parameter.name] = parameter.annotation
+            parameters += _typed_parameters(parameter.annotation)
         else:
-            parameters.append(parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=kind))
+            parameters.append(parameter)
 
     @wraps(function)
     def command(**given: Any) -> None:
@@ -235,6 +233,15 @@ def flat(function: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
+def _typed_parameters(of: Any) -> list[inspect.Parameter]:
+    """The parameters of a function or dataclass as keywords, with their types in the place of their types' text."""
+    hints = get_type_hints(of, include_extras=True)
+    return [
+        one.replace(kind=one.KEYWORD_ONLY, annotation=as_written(hints[one.name]))
+        for one in inspect.signature(of).parameters.values()
+    ]
+
+
 def as_written(hint: Any) -> Any:
     """An annotation without the Optional that Python 3.10 adds if the default is None.
 
@@ -243,16 +250,3 @@ def as_written(hint: Any) -> Any:
     if get_origin(hint) is Annotated:
         return hint
     return next((one for one in get_args(hint) if get_origin(one) is Annotated), hint)
-
-
-def _parameters_of(kind: Any) -> list[inspect.Parameter]:
-    hints = get_type_hints(kind, include_extras=True)
-    return [
-        inspect.Parameter(
-            field.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=inspect.Parameter.empty if field.default is MISSING else field.default,
-            annotation=hints[field.name],
-        )
-        for field in fields(kind)
-    ]
