@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gelform.calibration import report
 from gelform.calibration.presses.folder import read_presses
 from gelform.calibration.starters import load_starter
 from gelform.calibration_file import load_calibration
@@ -31,19 +32,19 @@ def folder(press_folder, tmp_path):
 
 
 def test_a_calibration_and_its_report_whose_circles_can_be_labels(run, folder, tmp_path):
-    output, report = tmp_path / "cal.npz", tmp_path / "deep" / "report"
-    how = ("--report", report, "--model", "polynomial", "--json")
+    output, pages = tmp_path / "cal.npz", tmp_path / "deep" / "report"
+    how = ("--report", pages, "--model", "polynomial", "--json")
     code, out, err = run("calibrate", folder, "-o", output, *how)
     assert code == 0
     said = json.loads(out)
     calibration = load_calibration(output)
     assert calibration.image_shape == (120, 160)
     assert said["held_out"]["normal_free_deg"] == calibration.held_out["normal_free_deg"] < 6
-    assert sorted(path.name for path in report.iterdir()) == ["circles.csv", "report.html", "report.json"]
-    content = json.loads((report / "report.json").read_text(encoding="utf-8"))
+    assert sorted(path.name for path in pages.iterdir()) == ["circles.csv", "report.html", "report.json"]
+    content = json.loads((pages / "report.json").read_text(encoding="utf-8"))
     assert content["held_out"]["normal_free_deg"] == calibration.held_out["normal_free_deg"]
     assert content["calibration"]["digest"] == calibration.digest
-    assert content["verdict"]["headline"] in (report / "report.html").read_text(encoding="utf-8")
+    assert content["verdict"]["headline"] in (pages / "report.html").read_text(encoding="utf-8")
     verdict = content["verdict"]
     assert said["verdict"] == verdict
     assert f"gelform calibrations add {output} --serial SERIAL\n" in err
@@ -53,13 +54,13 @@ def test_a_calibration_and_its_report_whose_circles_can_be_labels(run, folder, t
     assert lines[2].startswith("small: 10 of 10 presses used; depth on held-out presses is off by ")
     for name in ("cap_free_um", "off_contact_um"):
         assert f"{held_out[name]:.3g} um" in lines[2]
-    assert re.fullmatch(rf"Wrote {output} and {report}/report.html in \d+ s\.", lines[3])
+    assert re.fullmatch(rf"Wrote {output} and {pages}/report.html in \d+ s\.", lines[3])
     truth = [press.label for press in read_presses(folder).presses]
-    with (report / "circles.csv").open() as file:
+    with (pages / "circles.csv").open() as file:
         rows = list(csv.DictReader(file))
     found = [(float(row["center_x_px"]), float(row["center_y_px"])) for row in rows]
     assert np.median(np.hypot(*(np.array(found) - np.array(truth)[:, :2]).T)) < 1.5
-    shutil.copy(report / "circles.csv", folder / "presses.csv")
+    shutil.copy(pages / "circles.csv", folder / "presses.csv")
     assert all(press.label is not None for press in read_presses(folder).presses)
 
 
@@ -107,17 +108,15 @@ def test_tables_are_shown_only_if_asked_for(run, folder, tmp_path):
 
 def test_the_time_is_that_of_the_whole_command(run, folder, tmp_path, monkeypatch):
     """Of the report too, which takes as long as the calibration."""
-    from gelform.calibration.report import page
-
     now, later = time.monotonic, 0.0
-    made = page.report_page
+    made = report.report_page
 
     def slow_page(*given):
         nonlocal later
         later = 1000.0
         return made(*given)
 
-    monkeypatch.setattr(page, "report_page", slow_page)
+    monkeypatch.setattr(report, "report_page", slow_page)
     monkeypatch.setattr(time, "monotonic", lambda: now() + later)
     how = ("--model", "polynomial", "-o", tmp_path / "cal.npz", "--report", tmp_path / "report")
     _, _, err = run("calibrate", folder, *how)

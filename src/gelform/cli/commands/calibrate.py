@@ -4,32 +4,26 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from typer import Argument, Option
 
-from gelform.cli.console import figure, say, show_table
-from gelform.cli.files import REPORT_FILES, check_output, check_report_folder, content_of, write_report
-from gelform.cli.options import (
-    COLOR_MODELS,
-    STARTERS,
-    Bgr,
-    MmPerPx,
-    NewCalibration,
-    Overwrite,
-    PressOptions,
-    ShownOption,
-    listed,
-    numbers,
-    one_of,
+import gelform
+from gelform import DataError
+from gelform.cli import options
+from gelform.cli.console import figure, say
+from gelform.cli.files import (
+    REPORT_FILES,
+    check_output,
+    check_report_folder,
+    content_of,
+    starter_calibration,
+    write_report,
 )
+from gelform.cli.options import ShownOption, listed, one_of
 from gelform.cli.process import only_writer
-from gelform.errors import DataError
 
-if TYPE_CHECKING:
-    from gelform.calibration_file import Calibration
-
-MODELS = ("auto", *COLOR_MODELS)
+MODELS = ("auto", *options.COLOR_MODELS)
 
 
 def calibrate(
@@ -37,7 +31,7 @@ def calibrate(
     presses: Annotated[
         Path, Argument(metavar="PRESSES", help="Ball presses: a folder, a video or a recording.")
     ],
-    output: NewCalibration,
+    output: options.NewCalibration,
     model: Annotated[str, Option(metavar="NAME", help=f"Color model: {listed(MODELS)}.")] = "auto",
     start: Annotated[
         str,
@@ -47,7 +41,7 @@ def calibrate(
             "starter; none.",
         ),
     ] = "auto",
-    given: PressOptions,
+    given: options.PressOptions,
     crop: Annotated[
         str | None,
         Option(metavar="L,T,W,H", help="Part of the frame to use as image: left,top,width,height, px."),
@@ -64,7 +58,7 @@ def calibrate(
         bool,
         Option("--verbose", "-v", help="Also show rejected presses, models, all held-out errors and notes."),
     ] = False,
-    overwrite: Overwrite = False,
+    overwrite: options.Overwrite = False,
     shown: ShownOption,
 ) -> None:
     """Calibrate a sensor from presses of a ball.
@@ -88,26 +82,15 @@ def calibrate(
     """
     began = time.monotonic()
     one_of(model, MODELS, "--model")
-    box = None if crop is None else numbers(crop, "LEFT,TOP,WIDTH,HEIGHT", "--crop")
+    box = None if crop is None else options.numbers(crop, "LEFT,TOP,WIDTH,HEIGHT", "--crop")
     check_output(output, overwrite=overwrite)
     if report is not None:
         check_report_folder(report, overwrite)
-    from gelform.calibration.fit import calibrate as calibrate_presses
-    from gelform.calibration.presses.folder import read_presses
-
     with only_writer(output), shown.progress() as progress:
-        found = read_presses(
-            presses,
-            **vars(given),
-            crop=box,  # type: ignore[arg-type]
-            progress=progress,
-        )
-        calibration = calibrate_presses(
-            found,
-            color_model=model,
-            start=None if start == "none" else start,
-            compare=compare,
-            progress=progress,
+        found = gelform.read_presses(presses, **vars(given), crop=box, progress=progress)  # type: ignore[arg-type]
+        given_start = None if start == "none" else start
+        calibration = gelform.calibrate(
+            found, color_model=model, start=given_start, compare=compare, progress=progress
         )
         calibration.save(output, overwrite=overwrite)
         content = content_of(found, calibration, progress, with_learning=report is not None)
@@ -117,8 +100,8 @@ def calibrate(
             except DataError as problem:
                 raise DataError(f"Wrote {output}, but not its report. {problem}") from problem
     verdict = content["verdict"]
-    if verbose and not shown.silent:
-        _show(calibration)
+    if verbose:
+        _show(calibration, shown)
     shown.say(f"{verdict['headline']}.")
     marks = " (--report DIR shows these places.)" if report is None and "1, 2, 3" in verdict["next"] else ""
     shown.say(f"Next: {verdict['next']}{marks}")
@@ -130,7 +113,7 @@ def calibrate(
     shown.json({"calibration": str(output), **calibration.report.to_dict(), "verdict": verdict})
 
 
-def _figures(calibration: Calibration, verbose: bool) -> str:
+def _figures(calibration: gelform.Calibration, verbose: bool) -> str:
     """Three figures in a line: presses, and the depth errors on held-out ones; the verdict has the angle."""
     from gelform.calibration.report.record import used_in_words
 
@@ -143,38 +126,39 @@ def _figures(calibration: Calibration, verbose: bool) -> str:
     )
 
 
-def _show(calibration: Calibration) -> None:
+def _show(calibration: gelform.Calibration, shown: ShownOption) -> None:
     from gelform.calibration.report.record import FIGURES
 
     report = calibration.report
     rejected = [(row.name, row.reason) for row in report.presses if row.reason and not row.repeats]
-    if rejected:
-        show_table("Rejected presses", ("press", "reason"), rejected)
+    shown.table("Rejected presses", ("press", "reason"), rejected)
     tried = [
         (one["candidate"] + (" (chosen)" if one["chosen"] else ""), one["normal_free_deg"])
         for one in report.candidates
     ]
-    show_table("Color models tried", ("model", "held-out normal error (°)"), tried)
+    shown.table("Color models tried", ("model", "held-out normal error (°)"), tried)
     saved = report.held_out_saved.items()
     held_out = [(FIGURES[name], error, report.held_out[name]) for name, error in saved]
     columns = ("held-out error", "saved model", "whole procedure")
-    show_table("Errors on held-out presses", columns, held_out)
+    shown.table("Errors on held-out presses", columns, held_out)
     for note in report.notes:
-        say(f"note: {note}")
+        say(f"note: {note}", shown.silent)
 
 
 def starter(
     *,
-    sensor: Annotated[str, Argument(metavar="SENSOR", help=f"Make of the sensor: {listed(STARTERS)}.")],
+    sensor: Annotated[
+        str, Argument(metavar="SENSOR", help=f"Make of the sensor: {listed(options.STARTERS)}.")
+    ],
     background: Annotated[
         Path, Option(metavar="IMG|DIR", help="The unit's gel at rest: an image, or a folder of several.")
     ],
-    output: NewCalibration,
-    bgr: Bgr = False,
-    mm_per_px: MmPerPx = None,
+    output: options.NewCalibration,
+    bgr: options.Bgr = False,
+    mm_per_px: options.MmPerPx = None,
     serial: Annotated[str | None, Option(metavar="TEXT", help="Serial number of the unit.")] = None,
     gel: Annotated[str | None, Option(metavar="TEXT", help="Name of its gel.")] = None,
-    overwrite: Overwrite = False,
+    overwrite: options.Overwrite = False,
     shown: ShownOption,
 ) -> None:
     """Make a calibration of a sensor without any press.
@@ -189,17 +173,14 @@ def starter(
       gelform starter digit --background rest/ -o unit.npz --serial D20123
       gelform reconstruct frame.png -c unit.npz -o out
     """
-    one_of(sensor, STARTERS, "SENSOR")
+    one_of(sensor, options.STARTERS, "SENSOR")
     check_output(output, overwrite=overwrite)
-    from gelform.cli.files import starter_calibration
-
     calibration = starter_calibration(
         sensor, background, bgr=bgr, mm_per_px=mm_per_px, serial=serial, gel_id=gel
     )
     calibration.save(output, overwrite=overwrite)
-    if not shown.silent:
-        for finding in calibration.findings:
-            say(f"note: {finding.message}")
+    for finding in calibration.findings:
+        say(f"note: {finding.message}", shown.silent)
     shown.say(f"Wrote {output}.")
     described = calibration.describe()
     kept = ("sensor_name", "serial", "gel_id", "image_shape", "mm_per_px", "settings", "digest")

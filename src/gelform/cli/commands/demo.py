@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from typer import Option
 
+import gelform
+from gelform import simulate
 from gelform.cli.console import check_pictures, json_bytes
+from gelform.cli.files import content_of, write_report
 from gelform.cli.options import ShownOption
 from gelform.foundations.findings import Progress
 
-if TYPE_CHECKING:
-    from gelform.calibration_file import Calibration
-    from gelform.simulate import SimulatedPress, SimulatedSensor
-
 LAYOUT, PRESSES, BALLS_MM, SEED = "three-edges", 24, (6.0, 9.0), 7
+COLUMNS = {  # of the table: heading and format of each error
+    "true_peak_mm": ("true peak (mm)", "{:.3f}"),
+    "peak_mm": ("peak (mm)", "{:.3f}"),
+    "peak_ratio": ("ratio", "{:.1%}"),
+    "rmse_um": ("depth RMSE (um)", "{:.1f}"),
+    "rmse_contact_um": ("RMSE in contact (um)", "{:.1f}"),
+    "normal_contact_deg": ("normals (°)", "{:.1f}"),
+}
 
 
 def demo(
@@ -52,103 +59,76 @@ def demo(
             progress(done + 1, 4, "reconstructing objects")
         (folder / "errors.json").write_bytes(json_bytes(errors))
     shown.json({"folder": output, "seconds": time.monotonic() - started, "errors": errors})
-    rows = [(name, *(_shown(key, value) for key, value in row.items())) for name, row in errors.items()]
-    shown.table(
-        "Errors against the true surfaces",
-        (
-            "object",
-            "true peak (mm)",
-            "peak (mm)",
-            "ratio",
-            "depth RMSE (um)",
-            "RMSE in contact (um)",
-            "normals (°)",
-        ),
-        rows,
-    )
+    rows = [
+        (name, *(form.format(row[key]).replace("%", " %") for key, (_, form) in COLUMNS.items()))
+        for name, row in errors.items()
+    ]
+    headings = (heading for heading, _ in COLUMNS.values())
+    shown.table("Errors against the true surfaces", ("object", *headings), rows)
     if not shown.as_json:
         shown.say(f"Wrote {output} in {time.monotonic() - started:.0f} s. Look at {output / 'coin.png'}.")
 
 
-def _simulated(folder: Path, progress: Progress) -> SimulatedSensor:
+def _simulated(folder: Path, progress: Progress) -> simulate.SimulatedSensor:
     import numpy as np
 
-    from gelform.exchange.exporters.press_folder import save_simulated_presses
-    from gelform.simulate import LAYOUTS, simulate_ball_presses
-
-    presses = simulate_ball_presses(
-        LAYOUTS[LAYOUT],
+    presses = simulate.simulate_ball_presses(
+        simulate.LAYOUTS[LAYOUT],
         ball_diameters_mm=BALLS_MM,
         count=PRESSES,
         rng=np.random.default_rng(SEED),
         progress=progress,
     )
-    save_simulated_presses(folder, presses)
+    gelform.save_simulated_presses(folder, presses)
     return presses.sensor
 
 
-def _calibrated(folder: Path, progress: Progress) -> Calibration:
-    from gelform.calibration.fit import calibrate
-    from gelform.calibration.presses.folder import read_presses
-    from gelform.cli.files import content_of, write_report
-
-    presses = read_presses(folder / "presses", progress=progress)
-    calibration = calibrate(presses, progress=progress)
+def _calibrated(folder: Path, progress: Progress) -> gelform.Calibration:
+    presses = gelform.read_presses(folder / "presses", progress=progress)
+    calibration = gelform.calibrate(presses, progress=progress)
     calibration.save(folder / "calibration.npz")
     content = content_of(presses, calibration, progress, with_learning=False)
     write_report(content, presses, calibration, folder / "report", overwrite=False)
     return calibration
 
 
-def _objects(sensor: SimulatedSensor) -> list[tuple[str, SimulatedPress]]:
+def _objects(sensor: simulate.SimulatedSensor) -> list[tuple[str, simulate.SimulatedPress]]:
     import numpy as np
-
-    from gelform.simulate import Ball, Coin, Screw, simulate_press
 
     rng = np.random.default_rng(SEED + 1)
     edge = sensor.shape[1] / 2 * sensor.mm_per_px
-    scenes: list[tuple[str, Any, float, tuple[float, float]]] = [
-        ("ball", Ball(3.5), 0.7, (-1.5, 1.0)),
-        ("coin", Coin(), 0.35, (0.0, 0.0)),
-        ("screw", Screw(), 0.4, (0.5, -0.5)),
-        ("border", Ball(3.5), 0.7, (edge - 1.0, 1.5)),
+    scenes: list[tuple[str, simulate.Indenter, float, tuple[float, float]]] = [
+        ("ball", simulate.Ball(3.5), 0.7, (-1.5, 1.0)),
+        ("coin", simulate.Coin(), 0.35, (0.0, 0.0)),
+        ("screw", simulate.Screw(), 0.4, (0.5, -0.5)),
+        ("border", simulate.Ball(3.5), 0.7, (edge - 1.0, 1.5)),
     ]
     return [
-        (name, simulate_press(sensor, indenter, depth_mm=depth, center_mm=center, rng=rng))
+        (name, simulate.simulate_press(sensor, indenter, depth_mm=depth, center_mm=center, rng=rng))
         for name, indenter, depth, center in scenes
     ]
 
 
-def _compared(folder: Path, name: str, press: SimulatedPress, calibration: Calibration) -> dict[str, float]:
+def _compared(
+    folder: Path, name: str, press: simulate.SimulatedPress, calibration: gelform.Calibration
+) -> dict[str, float]:
     """Reconstruct one object with the calibration, and compare it with the truth."""
     import numpy as np
 
-    from gelform.exchange.plots import picture, save_picture
-    from gelform.reconstruct import Reconstructor
-    from gelform.result import save_result
+    from gelform.exchange.plots import save_picture
     from gelform.result.metrics import angle_deg
 
-    result = Reconstructor(calibration).from_image(press.image)
+    found = gelform.Reconstructor(calibration).from_image(press.image)
     save_picture(folder / f"{name}_image.png", press.image)
-    save_result(result, folder / f"{name}.npz")
-    save_picture(folder / f"{name}.png", picture(result, press.image))
-    error_um = 1e3 * (result.depth_mm - press.depth_mm)
+    gelform.save_result(found, folder / f"{name}.npz")
+    save_picture(folder / f"{name}.png", gelform.picture(found, press.image))
+    error_um = 1e3 * (found.depth_mm - press.depth_mm)
     peak = float(press.depth_mm.max())
     return {
         "true_peak_mm": peak,
-        "peak_mm": result.peak_mm,
-        "peak_ratio": result.peak_mm / peak,
+        "peak_mm": found.peak_mm,
+        "peak_ratio": found.peak_mm / peak,
         "rmse_um": float(np.sqrt(np.mean(error_um**2))),
         "rmse_contact_um": float(np.sqrt(np.mean(error_um[press.contact] ** 2))),
-        "normal_contact_deg": float(angle_deg(result.gradients, press.gradients)[press.contact].mean()),
+        "normal_contact_deg": float(angle_deg(found.gradients, press.gradients)[press.contact].mean()),
     }
-
-
-def _shown(key: str, value: float) -> str:
-    return (
-        f"{100 * value:.1f} %"
-        if key == "peak_ratio"
-        else f"{value:.3f}"
-        if key.endswith("_mm")
-        else f"{value:.1f}"
-    )

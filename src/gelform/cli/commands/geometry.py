@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from typer import Argument, BadParameter, Option
 
+import gelform
 from gelform.cli.options import Background, Bgr, Sensor, ShownOption, number, numbers
 from gelform.cli.process import mistakes_in
 
@@ -54,34 +55,30 @@ def scale(
     if not points and not stage:
         raise BadParameter("expected --points, --stage or both.", param_hint="scale")
     marked = [numbers(text, "X1,Y1,X2,Y2,MM", "--points") for text in points or ()]
-    pressed = [_images_and_mm(text) for text in stage or ()]
+    pressed = []
+    for text in stage or ():
+        *paths, length = text.split(",")
+        if len(paths) != 2:
+            raise BadParameter(f"expected A,B,MM, got {text!r}.", param_hint="--stage")
+        pressed.append((map(Path, paths), numbers(length, "MM", "--stage")[0]))
     from gelform.calibration.geometry.files import read_setup, save_scale, width_note
-    from gelform.calibration.geometry.scale import combined_scale, scale_from_points, scale_from_stage
 
     with mistakes_in("--points"):
-        scales = [scale_from_points((x1, y1), (x2, y2), mm) for x1, y1, x2, y2, mm in marked]
+        scales = [gelform.scale_from_points((x1, y1), (x2, y2), mm) for x1, y1, x2, y2, mm in marked]
     if pressed:
         setup = read_setup(place, background=background, sensor=sensor)
         with mistakes_in("--stage"):
-            for paths, mm in pressed:
-                first, second = (setup.image(path) for path in paths)
-                scales.append(scale_from_stage(first, second, setup.background, mm))
-    found = combined_scale(scales)
+            for images, step_mm in pressed:
+                first, second = map(setup.image, images)
+                scales.append(gelform.scale_from_stage(first, second, setup.background, step_mm))
+    found = gelform.combined_scale(scales)
     written = save_scale(found, place)
     if doubt := width_note(found.mm_per_px, place):
         shown.say(f"note: {doubt}")
     shown.say(f"{found.mm_per_px:.5g} +- {found.sigma:.2g} mm per pixel, from {found.source}.")
     shown.say(f"Wrote {written}.")
-    described = {"mm_per_px": found.mm_per_px, "mm_per_px_sigma": found.sigma, "source": found.source}
-    shown.json({"file": written, **described})
-
-
-def _images_and_mm(text: str) -> tuple[list[Path], float]:
-    """The two image files and the length after them."""
-    *paths, length = text.split(",")
-    if len(paths) != 2:
-        raise BadParameter(f"expected A,B,MM, got {text!r}.", param_hint="--stage")
-    return [Path(path) for path in paths], numbers(length, "MM", "--stage")[0]
+    measured = {"mm_per_px": found.mm_per_px, "mm_per_px_sigma": found.sigma}
+    shown.json({"file": written, **measured, "source": found.source})
 
 
 def lens(
@@ -111,13 +108,12 @@ def lens(
     except ValueError:
         raise BadParameter(f"expected COLUMNSxROWS, got {grid!r}.", param_hint="--grid") from None
     from gelform.calibration.geometry.files import save_grid_view
-    from gelform.calibration.geometry.lens import view_from_grid
-    from gelform.sensors.files import read_image
 
-    frames = [read_image(path) for path in images]
-    kind: Literal["dots", "checkerboard"] = "dots" if dots else "checkerboard"
+    frames = [gelform.read_image(path) for path in images]
     with mistakes_in("--image, --grid"):
-        found = view_from_grid(frames, pattern=(columns, rows), pitch_mm=pitch_mm, kind=kind)
+        found = gelform.view_from_grid(
+            frames, pattern=(columns, rows), pitch_mm=pitch_mm, kind="dots" if dots else "checkerboard"
+        )
     file = save_grid_view(found, place)
     shown.say(f"{found.describe()}.")
     shown.say(f"Wrote {file}.")
@@ -146,13 +142,12 @@ def crosstalk(
       gelform crosstalk presses/sensor.toml red.png green.png blue.png --json
     """
     from gelform.calibration.geometry.files import save_crosstalk
-    from gelform.calibration.geometry.measured import crosstalk_from_frames
-    from gelform.sensors.files import read_image, read_sensor_toml
+    from gelform.sensors.files import read_sensor_toml
 
     settings = read_sensor_toml(place / "sensor.toml" if place.is_dir() else place)
     with mistakes_in("R G B"):
-        frames = [read_image(path, bgr=bgr) for path in led_frames]
-        found = crosstalk_from_frames(frames, response=settings.response)
+        frames = [gelform.read_image(path, bgr=bgr) for path in led_frames]
+        found = gelform.crosstalk_from_frames(frames, response=settings.response)
     file = save_crosstalk(found, place)
     shown.say(f"{found.describe()}.")
     shown.say(f"Wrote {file}.")
