@@ -246,6 +246,7 @@ def test_a_frame_of_which_nothing_is_known_has_dashes(run, run_json, tmp_path):
     assert (row["peak_mm"], row["contact_mm2"], row["contact_px"]) == (None, None, None)
     line = run(*command, tmp_path / "out")[1].splitlines()[2]
     assert line.split()[1:3] == ["-", "-"]
+    assert "unknown, 0 at rest" in run("info", tmp_path / "out" / "white.npz")[1]
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".tiff"])
