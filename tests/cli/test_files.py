@@ -81,11 +81,11 @@ def test_results_that_are_there_and_inputs_are_protected(tmp_path):
     second.touch()
     source.touch()
     with pytest.raises(DataError, match=r"0\.npz is already there and 1 more.*--overwrite"):
-        check_results([{"npz": first}, {"npz": second}], overwrite=False, protected=[source])
-    check_results([{"npz": first}, {"npz": second}], overwrite=True, protected=[source])
+        check_results([first, second], overwrite=False, protected=[source])
+    check_results([first, second], overwrite=True, protected=[source])
     for overwrite in (False, True):
         with pytest.raises(DataError, match="would replace an input"):
-            check_results([{"png": tmp_path / "." / "image.png"}], overwrite=overwrite, protected=[source])
+            check_results([tmp_path / "." / "image.png"], overwrite=overwrite, protected=[source])
 
 
 def test_pictures_replace_neither_images_nor_calibrations(tmp_path):

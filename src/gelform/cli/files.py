@@ -49,7 +49,7 @@ def result_paths(inputs: Sequence[Path], folder: Path, formats: Sequence[str]) -
     return [{one: folder / f"{name}.{one}" for one in formats} for name in names]
 
 
-def check_results(paths: Sequence[dict[str, Path]], *, overwrite: bool, protected: Sequence[Path]) -> None:
+def check_results(results: Sequence[Path], *, overwrite: bool, protected: Sequence[Path]) -> None:
     """Refuse results that exist (unless `overwrite`), and any that would replace an input.
 
     Temporary files of killed runs are deleted there.
@@ -57,7 +57,6 @@ def check_results(paths: Sequence[dict[str, Path]], *, overwrite: bool, protecte
     from gelform.foundations.files import sweep
 
     inputs = {os.path.realpath(path) for path in protected}
-    results = [path for one in paths for path in one.values()]
     clashing = [path for path in results if os.path.realpath(path) in inputs]
     if clashing:
         raise DataError(f"The result {clashing[0]} would replace an input. Choose another folder with -o.")
@@ -76,9 +75,9 @@ def new_pictures(
     if folder is None:
         return [(image, None) for image in images]
     check_pictures()
-    paths = result_paths(images, folder, ["png"])
+    paths = [one["png"] for one in result_paths(images, folder, ["png"])]
     check_results(paths, overwrite=overwrite, protected=[*images, *filter(None, read)])
-    return [(image, one["png"]) for image, one in zip(images, paths)]
+    return list(zip(images, paths))
 
 
 def check_output(path: Path, *, overwrite: bool) -> None:

@@ -118,6 +118,7 @@ AcceptDoubtful = Annotated[
 ]
 Overwrite = Annotated[bool, Option("--overwrite", help="Replace results that are already there.")]
 Images = Annotated[list[Path], Argument(metavar="IMAGE...", help="Images of the sensor, or folders of them.")]
+ResultFolder = Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the results.")]
 PictureFolder = Annotated[
     Path | None, Option("--output", "-o", metavar="DIR", help="Folder for a picture of each image.")
 ]
@@ -156,6 +157,7 @@ Bgr = Annotated[bool, Option("--bgr", help="The frames are blue, green, red, as 
 Dataset = Annotated[
     str, Option(metavar="PATH", help="Where frames are in HDF5, Zarr, LeRobot; * stands for one name.")
 ]
+Solver = Annotated[str, Option(help="Solver from slopes to depth; auto chooses.")]
 Seed = Annotated[int, Option(min=0, help="Seed of the random numbers.")]
 
 

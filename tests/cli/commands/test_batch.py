@@ -49,11 +49,14 @@ def test_every_frame_failed_for_a_reason_that_is_said(run, work, tmp_path):
         image = cv2.imread(str(work / f"image{k}.png"))
         cv2.imwrite(str(tmp_path / "in" / f"{k}.png"), np.ascontiguousarray(image[:, ::-1]))
     (tmp_path / "in" / "empty.png").write_bytes(b"")
-    code, out, err = run("batch", tmp_path / "in", "-c", work / "cal.npz", "-o", tmp_path / "out", "--json")
+    command = ("batch", tmp_path / "in", "-c", work / "cal.npz", "-o", tmp_path / "out")
+    code, out, err = run(*command, "--json")
     assert code == 1
     tally = json.loads(out)["tally"]
     assert (tally["frames"], tally["failed"], sorted(tally["reasons"].values())) == (0, 4, [1, 3])
     assert "4 of 4 frames failed. The commonest reason (3 frames): The image is mirrored" in err
+    said = run(*command)[2]
+    assert "has a row for each frame.\n" in said, "and no sheet of depth to look at"
 
 
 def test_frames_of_another_sensor_are_no_success(run, foreign_images, calibration_file, tmp_path):
