@@ -80,6 +80,14 @@ def new_pictures(
     return list(zip(images, paths))
 
 
+def save_by_name(result: gelform.Reconstruction, path: Path, *, overwrite: bool) -> None:
+    """Write the whole result into a .npz, or its surface in the form that another ending of the name says."""
+    from gelform.exchange.exporters.surface import save_surface
+
+    save = gelform.save_result if path.suffix.lower() == ".npz" else save_surface
+    save(result, path, overwrite=overwrite)
+
+
 def check_output(path: Path, *, overwrite: bool) -> None:
     """Refuse a file name that cannot be written, before the work; a missing folder is made.
 

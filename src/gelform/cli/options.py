@@ -16,11 +16,9 @@ from typer import Argument, BadParameter, Option
 
 from gelform.cli.console import Columns, Rows, print_json, progress_shown, say, show_table
 from gelform.foundations.findings import Progress
-from gelform.robots.topics import TOPICS, USUAL
 from gelform.sensors.profiles import PROFILES
 
 PACKAGE = Path(__file__).parents[1]
-ALL_TOPICS, USUAL_TOPICS = ",".join(TOPICS), ",".join(USUAL)
 
 
 def names_in(file: str, table: str) -> tuple[str, ...]:
@@ -158,6 +156,7 @@ Dataset = Annotated[
     str, Option(metavar="PATH", help="Where frames are in HDF5, Zarr, LeRobot; * stands for one name.")
 ]
 Solver = Annotated[str, Option(help="Solver from slopes to depth; auto chooses.")]
+Seconds = Annotated[float | None, number("Duration in seconds; else to the end or Ctrl-C.")]
 Seed = Annotated[int, Option(min=0, help="Seed of the random numbers.")]
 
 

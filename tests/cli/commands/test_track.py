@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.cli.commands import robots
 from gelform.simulate import HeightMap, Pose, simulate_pose
 from made.rigid_contacts import texture
 from made.small_gel import save
@@ -87,8 +86,6 @@ def test_frames_of_another_size_are_named_in_every_command_that_plays_them(
 def test_an_object_that_is_mostly_lost_is_no_success(run, slide, calibration_file, tmp_path):
     for k in range(5):
         (tmp_path / f"{k}.png").write_bytes((slide / f"{0 if k < 4 else 2:03d}.png").read_bytes())
-    assert robots.frames_stated(str(tmp_path)) == 5
-    assert robots.frames_stated("simulated") == 0
     code, out, err = run("track", tmp_path, "-c", calibration_file, "-o", tmp_path / "t.csv")
     assert code == 3
     assert "the object was lost in 4 of 5 frames" in " ".join(err.split())
@@ -99,6 +96,7 @@ def test_mistakes(fails, slide, calibration_file, tmp_path):
     given = ("-c", calibration_file, "-o", tmp_path / "t.csv")
     assert "--prior" in fails("track", slide, *given, "--prior", "0.1,-2", status=2)
     assert "--prior" in fails("track", slide, *given, "--prior", "0.1", status=2)
+    assert "expected .npz, .ply, " in fails("track", slide, *given, "--surface", "a.obj", status=2)
     assert "No recording" in fails("track", tmp_path / "missing.mcap", *given)
     (tmp_path / "t.csv").write_text("mine")
     assert "is already there" in fails("track", slide, *given)

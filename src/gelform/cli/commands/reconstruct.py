@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from typer import Argument, BadParameter, Option
@@ -15,14 +15,11 @@ import gelform
 from gelform.cli import options
 from gelform.cli.commands.batch import Frames, batch
 from gelform.cli.console import check_pictures, figure, say
-from gelform.cli.files import Inputs, check_results, make_folder, named, result_paths
+from gelform.cli.files import Inputs, check_results, make_folder, named, result_paths, save_by_name
 from gelform.cli.options import ShownOption
 from gelform.cli.process import MISTAKE, one_line, status_of
 from gelform.errors import GelformError, reason
 from gelform.foundations.findings import FrameTally
-
-if TYPE_CHECKING:
-    from gelform.arrays import Image
 
 FORMATS = (
     "npz",
@@ -127,6 +124,7 @@ def reconstruct(
     if "png" in wanted:
         check_pictures()
     from gelform.depth.solvers import SOLVERS
+    from gelform.exchange.plots import save_picture
 
     options.one_of(solver, ("auto", *SOLVERS), "--solver")
     used = given.calibration_of(images, shown.quiet)
@@ -142,7 +140,12 @@ def reconstruct(
             except (GelformError, MemoryError) as problem:
                 failed.append({"image": str(path), "error": one_line(reason(problem))})
             else:
-                _write(result, image, results, overwrite)
+                for form, new_file in results.items():
+                    make_folder(new_file.parent)
+                    if form == "png":
+                        save_picture(new_file, gelform.picture(result, image), overwrite=overwrite)
+                    else:
+                        save_by_name(result, new_file, overwrite=overwrite)
                 rows.append(_row(result, path, results))
                 tally.add((one.name for one in result.health), known=bool(result.known.any()))
                 if sheet and (len(rows) - 1) % -(-len(todo) // TILES) == 0:
@@ -175,20 +178,6 @@ def _open(picture: Path, shown: ShownOption) -> None:
 
     shown.say(f"Look at {picture}.")
     webbrowser.open(picture.resolve().as_uri())
-
-
-def _write(result: gelform.Reconstruction, image: Image, results: dict[str, Path], overwrite: bool) -> None:
-    from gelform.exchange.exporters.surface import save_surface
-    from gelform.exchange.plots import save_picture
-
-    for form, path in results.items():
-        make_folder(path.parent)
-        if form == "npz":
-            gelform.save_result(result, path, overwrite=overwrite)
-        elif form == "png":
-            save_picture(path, gelform.picture(result, image), overwrite=overwrite)
-        else:
-            save_surface(result, path, overwrite=overwrite)
 
 
 def _row(result: gelform.Reconstruction, path: Path, results: dict[str, Path]) -> dict[str, Any]:
