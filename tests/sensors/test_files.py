@@ -98,11 +98,11 @@ def test_a_name_that_is_no_utf_8_is_refused_by_every_reader(odd_name):
 
 def test_commands_say_so(odd_name, calibration, tmp_path, capsys):
     calibration.save(tmp_path / "cal.npz")
-    after = ["-c", str(tmp_path / "cal.npz"), "-o", str(tmp_path / "out")]
+    after = ["-c", str(tmp_path / "cal.npz"), "-o"]
     for command in (
         ["info", str(odd_name)],
-        ["reconstruct", str(odd_name), *after],
-        ["batch", str(odd_name), *after, "--table", "csv"],
+        ["reconstruct", str(odd_name), *after, str(tmp_path / "results")],
+        ["batch", str(odd_name), *after, str(tmp_path / "out"), "--table", "csv"],
     ):
         with pytest.raises(SystemExit, match=r"^1$"):
             main(command)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from math import isfinite
-from os import PathLike
-from pathlib import Path
+from os import PathLike, sep
 from types import TracebackType
 from typing import Any, Protocol
 
@@ -167,16 +166,17 @@ def _without_settings(
         )
     if isinstance(spec, str) and spec.startswith(ADDRESSES):
         return MjpegUrl(spec, timeout_s=timeout_s)
-    return _of_files(check_path(spec, "a source"), paced, rate_hz) if str(spec) else None
+    return _of_files(spec, paced, rate_hz) if str(spec) else None
 
 
-def _of_files(path: Path, paced: bool, rate_hz: float | None) -> Source | None:
+def _of_files(spec: str | PathLike[str], paced: bool, rate_hz: float | None) -> Source | None:
     """A film; None if the path can only be a camera's name."""
+    path = check_path(spec, "a source")
     if is_film(str(path)) or path.suffix.lower() in FILM_SUFFIXES:
         film = open_film(path, rate_hz=rate_hz)
         return Playback(film, film.camera, paced=paced)
-    if path.parent != Path() and not str(path).startswith("/dev/"):
-        raise DataError(f"No file or folder {path}. Check the path.")
+    if {"/", sep} & set(str(spec)) and not str(spec).startswith("/dev/"):  # "seq/" too
+        raise DataError(f"No file or folder {spec}. Check the path.")
     return None
 
 

@@ -29,6 +29,7 @@ def test_it_prints_an_address_that_answers_and_ends_on_interrupt():
 def test_mistakes_are_one_line(fails):
     for arguments, said in (
         (["-c", "missing.npz"], "missing.npz"),
+        (["seq/"], "No file or folder seq/. Check the path."),
         (["simulated:three-edge"], "three-edges"),
         (["--host", "203.0.113.9"], "address of this machine"),
         (["--sink", "rviz", "--rate", "5"], "sinks among rerun, foxglove, got rviz"),

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import webbrowser
 from pathlib import Path
 from typing import Annotated
 
 from typer import Argument, Option
 
+from gelform import GelformError
+from gelform.cli import options
 from gelform.cli.console import say, show
-from gelform.cli.options import STARTERS, Bgr, Quiet, StarterSensor, one_of, positive
 from gelform.cli.process import mistakes_in
-from gelform.errors import GelformError
 
 
 def live(
@@ -30,8 +31,8 @@ def live(
             help="Calibration of each sensor, in order. Default: the newest of its serial.",
         ),
     ] = None,
-    sensor: StarterSensor = None,
-    bgr: Bgr = False,
+    sensor: options.StarterSensor = None,
+    bgr: options.Bgr = False,
     folder: Annotated[
         Path, Option(metavar="DIR", help="Folder of the offered calibrations and of new recordings.")
     ] = Path("."),
@@ -43,14 +44,14 @@ def live(
         bool, Option("--token", help="Require a token on this machine too, if others use it.")
     ] = False,
     rate: Annotated[
-        float, Option(metavar="HZ", parser=positive, help="Frame rate of the simulated sensor.")
+        float, Option(metavar="HZ", parser=options.positive, help="Frame rate of the simulated sensor.")
     ] = 60.0,
     sink: Annotated[
         list[str] | None,
         Option(metavar="NAME", help="Also show the results in rerun or foxglove; may be repeated."),
     ] = None,
     browser: Annotated[bool, Option("--open", help="Open the page in the browser.")] = False,
-    quiet: Quiet = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Show depth in the browser, calibrate with a ball, record.
 
@@ -67,7 +68,7 @@ def live(
       gelform live --sink rerun
     """
     if sensor is not None:
-        one_of(sensor, STARTERS, "--sensor")
+        options.one_of(sensor, options.STARTERS, "--sensor")
     from gelform.live.sinks import feed
     from gelform.live.start import Options, start
     from gelform.live.web.server import listen
@@ -88,8 +89,6 @@ def live(
     for one in said:
         say(one, quiet)
     if browser:
-        import webbrowser
-
         webbrowser.open(server.url)
     try:
         server.serve(hub)

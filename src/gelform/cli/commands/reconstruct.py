@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import webbrowser
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -174,8 +175,6 @@ def reconstruct(
 
 
 def _open(picture: Path, shown: ShownOption) -> None:
-    import webbrowser
-
     shown.say(f"Look at {picture}.")
     webbrowser.open(picture.resolve().as_uri())
 
