@@ -16,14 +16,7 @@ from hypothesis import strategies as st
 
 from gelform.calibration_file import load_calibration
 from gelform.cli import files as outputs
-from gelform.cli.files import (
-    Inputs,
-    check_output,
-    check_results,
-    make_folder,
-    new_pictures,
-    result_paths,
-)
+from gelform.cli.files import Inputs, check_output, check_results, make_folder, new_pictures, result_paths
 from gelform.errors import DataError
 from gelform.exchange.plots import save_picture
 

@@ -31,8 +31,7 @@ def import_(
     position: Annotated[
         str | None,
         Option(
-            metavar="zeros|true",
-            help="For gsrobotics: zeros, as in its own program, or the true positions.",
+            metavar="zeros|true", help="For gsrobotics: zeros, as in its own program, or the true positions."
         ),
     ] = None,
     flip_depth: Annotated[

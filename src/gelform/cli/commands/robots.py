@@ -34,8 +34,7 @@ class Sent:
 
     topics: Annotated[str, Option(metavar="A,B", help=f"Topics, of {','.join(TOPICS)}.")] = ",".join(USUAL)
     name: Annotated[
-        str | None,
-        Option(metavar="NAME", help="Prefix of topics and frames; else the calibration's sensor."),
+        str | None, Option(metavar="NAME", help="Prefix of topics and frames; else the calibration's sensor.")
     ] = None
     seconds: options.Seconds = None
     accept_doubtful: options.AcceptDoubtful = False

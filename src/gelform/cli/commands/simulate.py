@@ -37,8 +37,7 @@ def simulate(
         ),
     ] = None,
     like: Annotated[
-        Path | None,
-        Option(metavar="CAL.npz", help="Imitate this calibrated sensor, or Taxim's tables."),
+        Path | None, Option(metavar="CAL.npz", help="Imitate this calibrated sensor, or Taxim's tables.")
     ] = None,
     background: Annotated[
         Path | None, Option(metavar="IMG", help="Background image for Taxim's tables. Default: gray.")
