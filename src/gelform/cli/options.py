@@ -5,8 +5,8 @@ from __future__ import annotations
 import ast
 import inspect
 import math
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
@@ -14,8 +14,6 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import Columns, Rows, print_json, progress_shown, say, show_table
-from gelform.foundations.findings import Progress
 from gelform.sensors.profiles import PROFILES
 
 PACKAGE = Path(__file__).parents[1]
@@ -91,6 +89,16 @@ def number(help: str, parser: Callable[[str], float] = positive) -> Any:
     return Option(metavar="F", parser=parser, help=help)
 
 
+def output(metavar: str, help: str) -> Any:
+    """The option that names what a command writes."""
+    return Option("--output", "-o", metavar=metavar, help=help)
+
+
+def calibration(help: str) -> Any:
+    """The option that names a calibration to read."""
+    return Option("--calibration", "-c", metavar="CAL.npz", help=help)
+
+
 def numbers(text: str, form: str, option: str) -> tuple[float, ...]:
     """Numbers separated by commas, as many as the form (such as "X1,Y1,X2,Y2,MM") has parts."""
     try:
@@ -116,24 +124,12 @@ AcceptDoubtful = Annotated[
 ]
 Overwrite = Annotated[bool, Option("--overwrite", help="Replace results that are already there.")]
 Images = Annotated[list[Path], Argument(metavar="IMAGE...", help="Images of the sensor, or folders of them.")]
-ResultFolder = Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the results.")]
-PictureFolder = Annotated[
-    Path | None, Option("--output", "-o", metavar="DIR", help="Folder for a picture of each image.")
-]
-NewCalibration = Annotated[
-    Path, Option("--output", "-o", metavar="CAL.npz", help="The calibration to write.")
-]
-CalibrationFile = Annotated[
-    Path, Option("--calibration", "-c", metavar="CAL.npz", help="The sensor's calibration.")
-]
+ResultFolder = Annotated[Path, output("DIR", "Folder for the results.")]
+PictureFolder = Annotated[Path | None, output("DIR", "Folder for a picture of each image.")]
+NewCalibration = Annotated[Path, output("CAL.npz", "The calibration to write.")]
+CalibrationFile = Annotated[Path, calibration("The sensor's calibration.")]
 OptionalCalibration = Annotated[
-    Path | None,
-    Option(
-        "--calibration",
-        "-c",
-        metavar="CAL.npz",
-        help="The sensor's calibration. Default: the library's newest of its serial.",
-    ),
+    Path | None, calibration("The sensor's calibration. Default: the library's newest of its serial.")
 ]
 StarterSensor = Annotated[
     str | None,
@@ -161,37 +157,6 @@ Seed = Annotated[int, Option(min=0, help="Seed of the random numbers.")]
 
 
 @dataclass(frozen=True)
-class ShownOption:
-    """The output of a command: results on standard output, the rest on standard error."""
-
-    quiet: Quiet = False
-    as_json: Json = False
-
-    @property
-    def silent(self) -> bool:
-        """Whether to print nothing but JSON."""
-        return self.quiet or self.as_json
-
-    def say(self, text: str) -> None:
-        """Print a line for the user."""
-        say(text, self.quiet)
-
-    def table(self, title: str, columns: Columns, rows: Rows) -> None:
-        """Print a table for the user, unless it is empty."""
-        if not self.silent and (listed := list(rows)):
-            show_table(title, columns, listed)
-
-    def json(self, content: Mapping[str, Any]) -> None:
-        """Print the numbers as JSON, if requested."""
-        if self.as_json:
-            print_json(content)
-
-    def progress(self) -> AbstractContextManager[Progress]:
-        """Show a bar for each kind of work; yields the function that updates it."""
-        return progress_shown(self.quiet)
-
-
-@dataclass(frozen=True)
 class PressOptions:
     """Facts about presses that their folder may lack: keywords of `read_presses`."""
 
@@ -199,7 +164,7 @@ class PressOptions:
     mm_per_px: MmPerPx = None
     ball_diameter_mm: Annotated[
         float | None,
-        number("Diameter of the ball, mm, for a video or a folder without presses.csv.", ball_diameter),
+        number("Ball's diameter, mm, for a video or a folder without presses.csv.", ball_diameter),
     ] = None
     background: Background = None
     bgr: Annotated[

@@ -15,9 +15,9 @@ import typer
 from typer import Argument, BadParameter, Option
 
 from gelform.cli import options
-from gelform.cli.console import progress_shown, say
+from gelform.cli.console import ShownOption, say
 from gelform.cli.files import Inputs
-from gelform.cli.options import ShownOption, one_of, usage_errors
+from gelform.cli.options import one_of, usage_errors
 from gelform.cli.process import MISTAKE, status_of
 from gelform.result.maps import KEPT_MAPS
 
@@ -63,8 +63,7 @@ def batch(
     given: Frames,
     output: options.ResultFolder,
     form: Annotated[
-        str,
-        Option("--format", help="npz, png (depth in 16 bits), zarr, hdf5, lerobot (its input with depth)."),
+        str, Option("--format", help="npz, png (16-bit depth), zarr, hdf5, lerobot (its input with depth).")
     ] = "npz",
     dtype: Annotated[
         str | None, Option(help="For zarr and hdf5: float32, or uint16 (depth only, 0.1 um per step).")
@@ -224,7 +223,7 @@ def verify(
     """
     from gelform.batch import verify_output
 
-    with progress_shown(shown.silent) as progress:
+    with shown.progress() as progress:
         good, errors, problems = verify_output(output, progress)
     listed = [{"path": str(one.path), "what": one.what} for one in problems]
     shown.json({"frames": good, "errors": errors, "problems": listed})

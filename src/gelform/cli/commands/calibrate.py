@@ -11,7 +11,7 @@ from typer import Argument, Option
 import gelform
 from gelform import DataError
 from gelform.cli import options
-from gelform.cli.console import figure, say
+from gelform.cli.console import ShownOption, figure, say
 from gelform.cli.files import (
     REPORT_FILES,
     check_output,
@@ -20,7 +20,7 @@ from gelform.cli.files import (
     starter_calibration,
     write_report,
 )
-from gelform.cli.options import ShownOption, listed, one_of
+from gelform.cli.options import listed, one_of
 from gelform.cli.process import only_writer
 
 MODELS = ("auto", *options.COLOR_MODELS)
@@ -43,20 +43,16 @@ def calibrate(
     ] = "auto",
     given: options.PressOptions,
     crop: Annotated[
-        str | None,
-        Option(metavar="L,T,W,H", help="Part of the frame to use as image: left,top,width,height, px."),
+        str | None, Option(metavar="L,T,W,H", help="Part of the frame as image: left,top,width,height, px.")
     ] = None,
     report: Annotated[
-        Path | None,
-        Option(metavar="DIR", help="Folder for a report on the calibration's quality and the next steps."),
+        Path | None, Option(metavar="DIR", help="Folder for a report on quality and next steps.")
     ] = None,
     compare: Annotated[
-        bool,
-        Option("--compare", help="Also try every color model on the same presses, for the report's table."),
+        bool, Option("--compare", help="Also try every color model on these presses, for the report's table.")
     ] = False,
     verbose: Annotated[
-        bool,
-        Option("--verbose", "-v", help="Also show rejected presses, models, all held-out errors and notes."),
+        bool, Option("--verbose", "-v", help="Also show rejected presses, models, held-out errors and notes.")
     ] = False,
     overwrite: options.Overwrite = False,
     shown: ShownOption,

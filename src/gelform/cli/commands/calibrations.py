@@ -21,9 +21,9 @@ from typer import Argument, BadParameter, Option
 
 import gelform
 from gelform import DataError
-from gelform.cli.console import print_json, printable
+from gelform.cli.console import ShownOption, print_json, printable
 from gelform.cli.files import check_output
-from gelform.cli.options import NewCalibration, Overwrite, ShownOption
+from gelform.cli.options import NewCalibration, Overwrite
 
 SUMMARY = "List, add, remove and export calibrations by serial."
 COLUMNS = {

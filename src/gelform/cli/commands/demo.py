@@ -6,13 +6,11 @@ import time
 from pathlib import Path
 from typing import Annotated
 
-from typer import Option
-
 import gelform
 from gelform import simulate
-from gelform.cli.console import check_pictures, json_bytes
+from gelform.cli import options
+from gelform.cli.console import ShownOption, check_pictures, json_bytes
 from gelform.cli.files import content_of, write_report
-from gelform.cli.options import ShownOption
 from gelform.foundations.findings import Progress
 
 LAYOUT, PRESSES, BALLS_MM, SEED = "three-edges", 24, (6.0, 9.0), 7
@@ -28,9 +26,9 @@ COLUMNS = {  # of the table: heading and format of each error
 
 def demo(
     *,
-    output: Annotated[
-        Path, Option("--output", "-o", metavar="DIR", help="A new or empty folder for the files.")
-    ] = Path("gelform-demo"),
+    output: Annotated[Path, options.output("DIR", "A new or empty folder for the files.")] = Path(
+        "gelform-demo"
+    ),
     shown: ShownOption,
 ) -> None:
     """Try everything without a sensor, on a simulated one.

@@ -10,7 +10,7 @@ from typer import Argument, BadParameter, Option
 import gelform
 from gelform import DataError, result
 from gelform.cli import options
-from gelform.cli.console import say
+from gelform.cli.console import ShownOption, say
 from gelform.cli.files import check_output
 from gelform.cli.options import listed, one_of
 from gelform.cli.process import mistakes_in
@@ -43,7 +43,7 @@ def import_(
     ] = None,
     name: Annotated[str | None, Option(metavar="NAME", help="Name of the sensor.")] = None,
     overwrite: options.Overwrite = False,
-    shown: options.ShownOption,
+    shown: ShownOption,
 ) -> None:
     """Import a calibration that another package made.
 
@@ -109,8 +109,7 @@ def export(
         str, Option("--to", help="taxim, isaaclab (a calibration); ply, stl, tiff, png, x3p (a result).")
     ],
     output: Annotated[
-        Path | None,
-        Option("--output", "-o", metavar="DIR|FILE", help="A new folder (calibration); a file (result)."),
+        Path | None, options.output("DIR|FILE", "A new folder (calibration); a file (result).")
     ] = None,
     overwrite: options.Overwrite = False,
     quiet: options.Quiet = False,

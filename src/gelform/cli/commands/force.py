@@ -19,8 +19,9 @@ from typer import Argument, Option
 
 import gelform
 from gelform import CalibrationError
+from gelform.cli import options
+from gelform.cli.console import ShownOption
 from gelform.cli.files import check_output
-from gelform.cli.options import Background, Bgr, CalibrationFile, Overwrite, ShownOption
 from gelform.cli.process import only_writer
 
 if TYPE_CHECKING:
@@ -41,22 +42,16 @@ SHARES = {  # parts of 1, shown as %
 def calibrate(
     *,
     loads: Loads,
-    calibration: CalibrationFile,
+    calibration: options.CalibrationFile,
     output: Annotated[
-        Path | None,
-        Option(
-            "--output",
-            "-o",
-            metavar="CAL.npz",
-            help="The calibration to write. Default: -c, with --overwrite.",
-        ),
+        Path | None, options.output("CAL.npz", "The calibration to write. Default: -c, with --overwrite.")
     ] = None,
-    background: Background = None,
-    bgr: Bgr = False,
+    background: options.Background = None,
+    bgr: options.Bgr = False,
     sure_of_unit: Annotated[
         bool, Option("--sure-of-unit", help="The loads are newtons, though the gel seems too hard or soft.")
     ] = False,
-    overwrite: Overwrite = False,
+    overwrite: options.Overwrite = False,
     shown: ShownOption,
 ) -> None:
     """Add force in newtons to a calibration.
@@ -98,9 +93,9 @@ def calibrate(
 def evaluate(
     *,
     loads: Loads,
-    calibration: CalibrationFile,
-    background: Background = None,
-    bgr: Bgr = False,
+    calibration: options.CalibrationFile,
+    background: options.Background = None,
+    bgr: options.Bgr = False,
     shown: ShownOption,
 ) -> None:
     """Measure the errors of a calibration's forces.

@@ -8,7 +8,8 @@ from typing import Annotated
 from typer import Argument, BadParameter, Option
 
 import gelform
-from gelform.cli.options import Background, Bgr, Sensor, ShownOption, number, numbers
+from gelform.cli.console import ShownOption
+from gelform.cli.options import Background, Bgr, Sensor, number, numbers
 from gelform.cli.process import mistakes_in
 
 Place = Annotated[Path, Argument(metavar="PLACE", help="Press folder, or its sensor.toml, to write into.")]
@@ -85,8 +86,7 @@ def lens(
     *,
     place: Place,
     images: Annotated[
-        list[Path],
-        Option("--image", metavar="IMG", help="Whole frame with the grid on the gel; may be repeated."),
+        list[Path], Option("--image", metavar="IMG", help="Whole frame with the grid; may be repeated.")
     ],
     grid: Annotated[str, Option(metavar="CxR", help="Inner corners of the grid, such as 9x6; or its dots.")],
     pitch_mm: Annotated[float, number("Pitch of the grid, mm.")],

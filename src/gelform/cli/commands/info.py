@@ -139,8 +139,7 @@ ROUGHNESS = (
 def info(
     *,
     path: Annotated[
-        Path | None,
-        Argument(metavar="FILE|FOLDER", help="Calibration, result, image, video or press folder."),
+        Path | None, Argument(metavar="FILE|FOLDER", help="Calibration, result, image, video, press folder.")
     ] = None,
     system: Annotated[
         bool, Option("--system", help="Describe this machine instead, for a bug report.")

@@ -6,14 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from typer import Argument, BadParameter, Option
+from typer import Argument, BadParameter
 
 import gelform
 from gelform import DataError
 from gelform.cli import options
-from gelform.cli.console import figure, say
+from gelform.cli.console import ShownOption, figure, say
 from gelform.cli.files import Inputs, make_folder, named, new_pictures, other_size
-from gelform.cli.options import ShownOption
 
 if TYPE_CHECKING:
     from gelform.arrays import Image
@@ -144,13 +143,7 @@ def compare(
     *,
     images: options.Images,
     calibrations: Annotated[
-        list[Path],
-        Option(
-            "--calibration",
-            "-c",
-            metavar="CAL.npz",
-            help="A calibration; give the option twice, for A and B.",
-        ),
+        list[Path], options.calibration("A calibration; give the option twice, for A and B.")
     ],
     output: options.PictureFolder = None,
     background: options.Background = None,

@@ -24,12 +24,7 @@ def live(
     ] = None,
     calibration: Annotated[
         list[Path] | None,
-        Option(
-            "--calibration",
-            "-c",
-            metavar="CAL.npz",
-            help="Calibration of each sensor, in order. Default: the newest of its serial.",
-        ),
+        options.calibration("Calibration of each sensor, in order. Default: the newest of its serial."),
     ] = None,
     sensor: options.StarterSensor = None,
     bgr: options.Bgr = False,

@@ -15,9 +15,8 @@ from typer import Argument, BadParameter, Option
 import gelform
 from gelform.cli import options
 from gelform.cli.commands.batch import Frames, batch
-from gelform.cli.console import check_pictures, figure, say
+from gelform.cli.console import ShownOption, check_pictures, figure, say
 from gelform.cli.files import Inputs, check_results, make_folder, named, result_paths, save_by_name
-from gelform.cli.options import ShownOption
 from gelform.cli.process import MISTAKE, one_line, status_of
 from gelform.errors import GelformError, reason
 from gelform.foundations.findings import FrameTally

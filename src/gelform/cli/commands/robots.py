@@ -16,9 +16,9 @@ from typer import Argument, Option
 import gelform
 from gelform import DataError, robots
 from gelform.cli import options
-from gelform.cli.console import say
+from gelform.cli.console import ShownOption, say
 from gelform.cli.files import Inputs, check_output, save_by_name
-from gelform.cli.options import ShownOption, usage_errors
+from gelform.cli.options import usage_errors
 from gelform.cli.process import DOUBT, mistakes_in, status_of
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, USUAL, check_sensor_name, check_topics
 
@@ -65,7 +65,7 @@ def bag(
         str, Argument(metavar="INPUT", help="Recording, video, folder, serial, name, URL, or simulated.")
     ],
     given: Inputs,
-    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="A new folder: the bag of ROS 2.")],
+    output: Annotated[Path, options.output("DIR", "A new folder: the bag of ROS 2.")],
     sent: Sent,
     shown: ShownOption,
 ) -> None:
@@ -136,7 +136,7 @@ def track(
     *,
     source: Annotated[str, Argument(metavar="INPUT", help="Recording, video, folder, serial, name or URL.")],
     given: Inputs,
-    output: Annotated[Path, Option("--output", "-o", metavar="CSV", help="Table of the poses.")],
+    output: Annotated[Path, options.output("CSV", "Table of the poses.")],
     surface: Annotated[
         Path | None,
         Option(metavar="FILE", help="Also one surface of all keyframes: .npz, .ply, .stl, .tiff or .x3p."),

@@ -11,9 +11,9 @@ import gelform
 from gelform import sensors
 from gelform import simulate as simulator
 from gelform.cli import options
-from gelform.cli.console import check_pictures, say
+from gelform.cli.console import ShownOption, check_pictures, say
 from gelform.cli.files import check_output
-from gelform.cli.options import LAYOUTS, ShownOption, listed, number, one_of, usage_errors
+from gelform.cli.options import LAYOUTS, listed, number, one_of, usage_errors
 from gelform.cli.process import mistakes_in
 
 DESIGN_COLUMNS = {
@@ -28,7 +28,7 @@ DESIGN_COLUMNS = {
 
 def simulate(
     *,
-    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="A new or empty folder.")],
+    output: Annotated[Path, options.output("DIR", "A new or empty folder.")],
     sensor: Annotated[
         str | None,
         Option(
@@ -59,8 +59,7 @@ def simulate(
     height_map_mm_per_px: Annotated[float | None, number("Sample pitch of the height map, mm.")] = None,
     depth_mm: Annotated[float, number("Depth of the height map, or of the coin of --as, mm.")] = 0.5,
     forms: Annotated[
-        str,
-        Option("--as", metavar="FORM,...", help=f"Also write a moving press: {', '.join(options.FORMS)}."),
+        str, Option("--as", metavar="FORM,...", help=f"Also a moving press: {', '.join(options.FORMS)}.")
     ] = "",
     seed: options.Seed = 0,
     workers: Annotated[int, Option(min=1, help="Number of processes; any number gives the same bytes.")] = 1,
@@ -159,9 +158,7 @@ def design(
     sensor: Annotated[
         str, Argument(metavar="SENSOR.toml", help="A simulated sensor, or the name of a ready-made one.")
     ],
-    output: Annotated[
-        Path | None, Option("--output", "-o", metavar="FILE.png", help="A picture of the study.")
-    ] = None,
+    output: Annotated[Path | None, options.output("FILE.png", "A picture of the study.")] = None,
     presses: Annotated[int, Option(min=4, help="Number of ball presses that calibrate each design.")] = 14,
     seed: options.Seed = 0,
     overwrite: options.Overwrite = False,

@@ -17,8 +17,8 @@ from typer import Argument, BadParameter, Option
 import gelform
 from gelform import CalibrationError, DataError, GelformError
 from gelform.cli import options
-from gelform.cli.console import print_json, say
-from gelform.cli.options import ShownOption, number, usage_errors
+from gelform.cli.console import ShownOption, print_json, say
+from gelform.cli.options import number, usage_errors
 
 if TYPE_CHECKING:
     from gelform.sensors.cameras import Camera
@@ -139,21 +139,14 @@ class PressesTaken:
 def record(
     *,
     source: Annotated[
-        str,
-        Argument(metavar="[SOURCE]", help="Serial, name, path, URL or simulated. Default: the only camera."),
+        str, Argument(metavar="[SOURCE]", help="Serial, name, path, URL or simulated; else the only camera.")
     ] = "",
-    output: Annotated[
-        Path,
-        Option("--output", "-o", metavar="FILE.mcap|DIR", help="A new file; a new folder with --presses."),
-    ],
+    output: Annotated[Path, options.output("FILE.mcap|DIR", "A new file; a new folder with --presses.")],
     seconds: options.Seconds = None,
     frames: Annotated[int | None, Option(metavar="N", min=1, help="Number of frames.")] = None,
     taken: PressesTaken,
     calibration: Annotated[
-        Path | None,
-        Option(
-            "--calibration", "-c", metavar="CAL.npz", help="The calibration in use; its digest is recorded."
-        ),
+        Path | None, options.calibration("The calibration in use; its digest is recorded.")
     ] = None,
     set_: Annotated[
         list[str] | None,
