@@ -8,12 +8,14 @@ Files of other programs, met by any command: the message has what to do with the
 import errno
 import os
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gelform.calibration import report
 from gelform.calibration_file import load_calibration
 from gelform.cli import files as outputs
 from gelform.cli.files import Inputs, check_output, check_results, make_folder, new_pictures, result_paths
@@ -113,14 +115,6 @@ def test_an_output_is_checked_before_the_work(tmp_path):
     assert (tmp_path / "a").is_dir()
 
 
-def test_a_folder_that_holds_a_report_is_refused(tmp_path):
-    outputs.check_report_folder(tmp_path / "deep" / "report", overwrite=False)
-    (tmp_path / "deep" / "report" / "circles.csv").touch()
-    outputs.check_report_folder(tmp_path / "deep" / "report", overwrite=True)
-    with pytest.raises(DataError, match=r"circles\.csv is already there.*--overwrite"):
-        outputs.check_report_folder(tmp_path / "deep" / "report", overwrite=False)
-
-
 def test_a_full_disk_leaves_none_of_them(tmp_path, monkeypatch):
     """The disk is full when the second file is brought to it: the first must not stay."""
     calls = []
@@ -130,13 +124,15 @@ def test_a_full_disk_leaves_none_of_them(tmp_path, monkeypatch):
         if len(calls) == 2:
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(outputs.os, "fsync", full)
-    files = {tmp_path / name: b"text" for name in outputs.REPORT_FILES}
-    with pytest.raises(DataError, match="No space left"):
-        outputs._write_all(files, overwrite=False)
+    monkeypatch.setattr(report, "report_page", lambda *_: "page")
+    made = SimpleNamespace(report=SimpleNamespace(presses=[]))
+    write = partial(outputs.write_report, {}, None, made, tmp_path, False)
+    with monkeypatch.context() as patched:
+        patched.setattr(outputs.os, "fsync", full)
+        with pytest.raises(DataError, match="No space left"):
+            write()
     assert list(tmp_path.iterdir()) == []
-    monkeypatch.undo()
-    outputs._write_all(files, overwrite=False)
+    write()
     assert {path.name for path in tmp_path.iterdir()} == set(outputs.REPORT_FILES)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -127,14 +127,6 @@ def _check_room(folder: Path) -> None:
         raise DataError(f"Cannot write into {folder}: {problem.strerror or problem}.") from problem
 
 
-def check_report_folder(folder: Path, overwrite: bool) -> None:
-    """Make the folder, and refuse one that contains a report (unless `overwrite`), before the work."""
-    check_output(folder / REPORT_FILES[0], overwrite=True)
-    there = [name for name in REPORT_FILES if (folder / name).exists()]
-    if there and not overwrite:
-        raise DataError(f"{folder / there[0]} is already there. Choose another folder, or allow --overwrite.")
-
-
 def content_of(
     presses: Presses, calibration: gelform.Calibration, progress: Progress, *, with_learning: bool
 ) -> dict[str, Any]:
@@ -149,27 +141,17 @@ def content_of(
 
 
 def write_report(
-    content: dict[str, Any],
-    presses: Presses,
-    calibration: gelform.Calibration,
-    folder: Path,
-    *,
-    overwrite: bool,
+    content: dict[str, Any], presses: Presses, calibration: gelform.Calibration, folder: Path, overwrite: bool
 ) -> None:
-    """Write the files of `--report`: the page, its numbers, and the circles as a table."""
-    page = report.report_page(content, presses, calibration)
-    files = (page.encode(), json_bytes(content), _circles_csv(calibration.report.presses))
-    _write_all({folder / name: data for name, data in zip(REPORT_FILES, files)}, overwrite)
-
-
-def _write_all(files: Mapping[Path, bytes], overwrite: bool) -> None:
-    """Write all files or none: each gets its name only when the bytes of all are on the disk."""
+    """Write the files of `--report`, all or none: the page, its numbers, and the circles as a table."""
     from gelform.foundations.files import written_file
 
-    make_folder(next(iter(files)).parent)
-    with ExitStack() as stack:
-        for path, data in files.items():
-            handle = stack.enter_context(written_file(path, overwrite=overwrite))
+    page = report.report_page(content, presses, calibration)
+    contents = (page.encode(), json_bytes(content), _circles_csv(calibration.report.presses))
+    make_folder(folder)
+    with ExitStack() as stack:  # each gets its name only when the bytes of all are on the disk
+        for name, data in zip(REPORT_FILES, contents):
+            handle = stack.enter_context(written_file(folder / name, overwrite=overwrite))
             handle.write(data)
             handle.flush()
             os.fsync(handle.fileno())

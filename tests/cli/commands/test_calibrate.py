@@ -127,10 +127,10 @@ def test_what_is_there_stays(fails, folder, tmp_path):
     (tmp_path / "cal.npz").write_text("mine")
     assert "already there" in fails("calibrate", folder, "-o", tmp_path / "cal.npz")
     (tmp_path / "r").mkdir()
-    (tmp_path / "r" / "report.html").write_text("mine")
+    (tmp_path / "r" / "circles.csv").write_text("mine")
     new = ("-o", tmp_path / "new.npz", "--report", tmp_path / "r")
-    assert "already there" in fails("calibrate", folder, *new)
-    assert (tmp_path / "cal.npz").read_text() == (tmp_path / "r" / "report.html").read_text() == "mine"
+    assert "circles.csv is already there" in fails("calibrate", folder, *new)
+    assert (tmp_path / "cal.npz").read_text() == (tmp_path / "r" / "circles.csv").read_text() == "mine"
     assert not (tmp_path / "new.npz").exists()
 
 

@@ -15,7 +15,7 @@ from gelform.cli.console import ShownOption, figure, say
 from gelform.cli.files import (
     REPORT_FILES,
     check_output,
-    check_report_folder,
+    check_results,
     content_of,
     starter_calibration,
     write_report,
@@ -81,7 +81,8 @@ def calibrate(
     box = None if crop is None else options.numbers(crop, "LEFT,TOP,WIDTH,HEIGHT", "--crop")
     check_output(output, overwrite=overwrite)
     if report is not None:
-        check_report_folder(report, overwrite)
+        check_output(report / REPORT_FILES[0], overwrite=True)
+        check_results([report / name for name in REPORT_FILES], overwrite=overwrite, protected=())
     with only_writer(output), shown.progress() as progress:
         found = gelform.read_presses(presses, **vars(given), crop=box, progress=progress)  # type: ignore[arg-type]
         given_start = None if start == "none" else start
@@ -92,7 +93,7 @@ def calibrate(
         content = content_of(found, calibration, progress, with_learning=report is not None)
         if report is not None:
             try:
-                write_report(content, found, calibration, report, overwrite=overwrite)
+                write_report(content, found, calibration, report, overwrite)
             except DataError as problem:
                 raise DataError(f"Wrote {output}, but not its report. {problem}") from problem
     verdict = content["verdict"]

@@ -86,7 +86,7 @@ def _calibrated(folder: Path, progress: Progress) -> gelform.Calibration:
     calibration = gelform.calibrate(presses, progress=progress)
     calibration.save(folder / "calibration.npz")
     content = content_of(presses, calibration, progress, with_learning=False)
-    write_report(content, presses, calibration, folder / "report", overwrite=False)
+    write_report(content, presses, calibration, folder / "report", False)
     return calibration
 
 
