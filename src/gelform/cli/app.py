@@ -28,10 +28,11 @@ from gelform.cli.process import DEBUG, ReportedFailures, as_process
 
 # With a busy neighbor two BLAS threads are nine times slower than one. A stream has a thread for each stage, so OpenCV needs
 # none of its own. A camera that hangs would block its reader for OpenCV's default of 10 s.
-ONE_THREAD = dict.fromkeys(
-    ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"), "1"
-)
-ENVIRONMENT = {**ONE_THREAD, "OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT": "1"}
+ENVIRONMENT = {
+    **dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
+    "OPENCV_FOR_THREADS_NUM": "1",
+    "OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT": "1",
+}
 SUBCOMMANDS = {"force": force, "calibrations": calibrations}  # commands with commands of their own
 GROUPS: dict[str, tuple[Any, ...]] = {
     "Start": (demo, live, simulate, info),

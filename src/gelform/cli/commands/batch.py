@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from datetime import timedelta
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,9 +24,6 @@ from gelform.result.maps import KEPT_MAPS
 
 if TYPE_CHECKING:
     from gelform.batch import BatchSummary
-
-SHOWN_PROBLEMS = 20  # problems that gelform verify prints; --json gives all
-LINE_EVERY_S = 30.0  # s between lines of progress, if standard error is a file
 
 
 def _shard(text: str) -> tuple[int, int]:
@@ -161,7 +159,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[BatchSummary], None]]:
         nonlocal last, before
         now = time.monotonic()
         before = summary.parts_done - 1 if before < 0 else before
-        if quiet or now - last < (0.2 if on_screen else LINE_EVERY_S):
+        if quiet or now - last < (0.2 if on_screen else 30):  # s
             return
         last = now
         line = _line(summary, now - begin, summary.parts_done - before)
@@ -174,12 +172,11 @@ def _progress(quiet: bool) -> Iterator[Callable[[BatchSummary], None]]:
 
 def _line(summary: BatchSummary, seconds: float, parts: int) -> str:
     """Parts, rate, time left, errors so far."""
-    left_s = (summary.parts - summary.parts_done) * seconds / parts
-    minutes, rest = divmod(round(left_s), 60)
-    left = f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
-    rate = summary.frames / max(seconds, 1e-9)
-    errors = f"{summary.errors} with errors"
-    return f"{summary.parts_done} of {summary.parts} parts, {rate:.1f} frames/s, {left} left, {errors}"
+    left = timedelta(seconds=round((summary.parts - summary.parts_done) * seconds / parts))
+    done = (
+        f"{summary.parts_done} of {summary.parts} parts, {summary.frames / max(seconds, 1e-9):.1f} frames/s"
+    )
+    return f"{done}, {left} left, {summary.errors} with errors"
 
 
 def _report(summary: BatchSummary, output: Path, max_errors: int, quiet: bool) -> None:
@@ -225,13 +222,11 @@ def verify(
 
     with shown.progress() as progress:
         good, errors, problems = verify_output(output, progress)
-    listed = [{"path": str(one.path), "what": one.what} for one in problems]
-    shown.json({"frames": good, "errors": errors, "problems": listed})
-    if not shown.as_json:
-        for one in problems[:SHOWN_PROBLEMS]:
-            say(f"gelform: error: {one.path}: {one.what}")
-        if len(problems) > SHOWN_PROBLEMS:
-            say(f"{len(problems) - SHOWN_PROBLEMS} more; all with --json.")
+    shown.json({"frames": good, "errors": errors, "problems": list(map(asdict, problems))})
+    for one in problems[:20]:
+        say(f"gelform: error: {one.path}: {one.what}", shown.as_json)
+    if more := problems[20:]:
+        say(f"{len(more)} more; all with --json.", shown.as_json)
     say(f"{good} frames are complete, {errors} have an error, {len(problems)} problems.", shown.silent)
     if problems:
         raise typer.Exit(MISTAKE)

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 SUMMARY = "Calibrate force in newtons, and measure its errors."
 Loads = Annotated[Path, Argument(metavar="LOADS", help="Folder of images with loads.csv.")]
 UNITS = {"normal": "N", "shear": "N", "torsion": "N mm"}
-DOUBTED_RATIO = 1.5  # of errors over sigma; above, they are larger than stated
 SHARES = {  # parts of 1, shown as %
     "median": "median error (%)",
     "q90": "90 % below (%)",
@@ -130,7 +129,7 @@ def evaluate(
     shown.table("Without a normal force", ("reason", "presses"), errors["reasons"].items())
     ratio = sigma_ratio(loaded.force, found.touches, found.loads)
     if ratio is not None:
-        remedy = "" if ratio < DOUBTED_RATIO else " Calibrate again, with these objects too."
+        remedy = " Calibrate again, with these objects too." if ratio >= 1.5 else ""  # larger than stated
         shown.say(f"Errors of the normal force are {ratio:.2g} times the stated sigma.{remedy}")
     shown.json({"lag_frames": found.lag_frames, "errors_over_sigma": ratio, **errors})
 

@@ -21,7 +21,6 @@ from gelform.cli.console import print_json, show
 from gelform.cli.options import Json
 from gelform.cli.process import in_options
 
-VARIABLES = ("GELFORM_ISA", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # they change speed or kernels
 OPENCV = (
     "opencv-python",
     "opencv-contrib-python",
@@ -33,6 +32,7 @@ OPENCV = (
 def system_facts() -> dict[str, Any]:
     """Versions, processor, instruction set, extras and cameras of this machine."""
     core, extras = _requirements()
+    of_speed = ("GELFORM_ISA", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # or of the kernels
     return {
         "kind": "system",
         "gelform": gelform.__version__,
@@ -40,7 +40,7 @@ def system_facts() -> dict[str, Any]:
         "system": platform.platform(),
         "processor": f"{platform.machine()}, {os.cpu_count()} cores",
         "kernels": _kernels(),
-        "variables": {name: os.environ[name] for name in VARIABLES if name in os.environ},
+        "variables": {name: os.environ[name] for name in of_speed if name in os.environ},
         "packages": {name: _version(name) or "missing" for name in core},
         "opencv": _opencv(),
         "extras": {extra: _extra(names) for extra, names in extras.items()},
@@ -123,7 +123,6 @@ def _cameras() -> list[str]:
 
 Facts = Mapping[str, Any]
 Lines = list[tuple[str, Any]]  # label and text; a line without a text is left out
-LISTED = 8  # largest contacts that are printed; --json gives all
 HELD_OUT = {
     "normal_free_deg": "normals {:.1f}°",
     "radius_percent": "ball's radius {:.1f} %",
@@ -409,11 +408,12 @@ def _result_lines(facts: Facts) -> Lines:
     depth, roughness, markers = facts[f"depth_{unit}"], facts.get("roughness"), facts["markers"]
     low_to_high = "unknown" if depth is None else f"{depth[0]:.3f} to {depth[1]:.3f} {unit}"
     pixels = facts["size_px"][0] * facts["size_px"][1]
+    largest = facts["contacts"][:8]  # --json gives all
     return [
         ("image", f"{_size(facts['size_px'])}, {_scale(facts)}"),
         ("depth", f"{low_to_high}, 0 at rest, zero by: {facts['zero']}"),
         ("contact", f"{facts['contact_px']} of {pixels} px"),
-        *[(f"contact {k + 1}", _contact(contact)) for k, contact in enumerate(facts["contacts"][:LISTED])],
+        *[(f"contact {k + 1}", _contact(contact)) for k, contact in enumerate(largest)],
         ("roughness", roughness and ROUGHNESS.format(**roughness)),
         ("markers", markers and markers["in_words"]),
         ("known", f"{100 * facts['known_px'] / pixels:.0f} % of the pixels; the others are filled"),

@@ -25,10 +25,6 @@ COLUMNS = {  # of the table, which fits into 80 columns
 }
 PRESSES = "Errors of each press: normals, depth in contact, ball radius, depth off contact"
 WORSE = 1.5  # times the errors at calibration; folds of the real sets differ by up to a third
-SEEN = (
-    "Their errors say little about new presses. They may even be larger than the held-out errors of `calibrate`, which "
-    "fits all circles together; here each circle is found in its own image."
-)
 COMPARED = {  # {u}: the unit of depth
     "image": "image",
     "peak_a": "peak A ({u})",
@@ -69,7 +65,11 @@ def evaluate(
             raise DataError(f"{found.folder}: Expected images of {other_size(found.image_shape, sizes)}")
         evaluation = gelform.evaluate(loaded, found, progress=progress)
     if evaluation.seen:
-        say(f"warning: the calibration was made from {evaluation.seen} of these presses. {SEEN}")
+        say(
+            f"warning: the calibration was made from {evaluation.seen} of these presses. Their errors say little about new "
+            "presses. They may even be larger than the held-out errors of `calibrate`, which fits all circles together; "
+            "here each circle is found in its own image."
+        )
     whose = "the calibration's own" if evaluation.own_background else "not the calibration's own"
     shown.say(f"Background: {whose}.")
     for message in evaluation.findings:

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from gelform.sensors.record import RecordStats
 
 MEASURED_S, FIRST_S = 1.0, 3.0  # s: time in which frames are counted; longest wait for the first frame
-MOST_MISSING = 0.05  # of a recording's frames; more is a warning
-POLL_S = 0.05  # s between checks of the keyboard on Windows
 BACKGROUND_FRAMES, FRESH_S = 10, 5.0  # frames to average; s within which a frame must arrive
 
 
@@ -46,7 +44,7 @@ def single_keys(purpose: str) -> Iterator[Callable[[], str]]:
 
         def read() -> str:
             while not msvcrt.kbhit():
-                time.sleep(POLL_S)  # Ctrl-C interrupts the sleep, but not a wait for a key
+                time.sleep(0.05)  # Ctrl-C interrupts the sleep, but not a wait for a key
             return str(msvcrt.getwch())
 
         yield read
@@ -212,7 +210,7 @@ def why_missing(stats: RecordStats, grabbed: GrabberStats) -> str:
     }
     said = " and ".join(f"{count} {why}" for why, count in reasons.items() if count)
     share = stats.missing / all_of
-    level = "warning: " if share > MOST_MISSING else ""
+    level = "warning: " if share > 0.05 else ""
     return (
         f"{level}{stats.missing} of {all_of} frames ({100 * share:.2g} %) are missing: {said}. {rate_hz:.3g} frames a "
         "second were kept; a lower rate or a smaller picture loses fewer (USB cameras: --set fps=..., --set width=...)."
