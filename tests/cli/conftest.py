@@ -76,8 +76,20 @@ def run(capsys):
 
 
 @pytest.fixture
+def works(run):
+    """Run a command that must succeed; gives its standard output and standard error."""
+
+    def command(*arguments):
+        code, out, err = run(*arguments)
+        assert code == 0, (out, err)
+        return out, err
+
+    return command
+
+
+@pytest.fixture
 def fails(run):
-    """Run a command that must fail with one line and no traceback; gives the line."""
+    """Run a command that must fail with one line and no traceback; gives the line, of single spaces."""
 
     def command(*arguments, status=1):
         code, out, err = run(*arguments)
@@ -86,19 +98,15 @@ def fails(run):
         if status == 1:
             assert err.count("\n") == 1, err
             assert err.startswith("gelform: error: ")
-        return err
+        return " ".join(err.split())
 
     return command
 
 
 @pytest.fixture
-def run_json(run):
-    def command(*arguments):
-        code, out, err = run(*arguments, "--json")
-        assert code == 0, err
-        return json.loads(out)
-
-    return command
+def run_json(works):
+    """Run a command that must succeed; gives its numbers."""
+    return lambda *arguments: json.loads(works(*arguments, "--json")[0])
 
 
 @pytest.fixture
@@ -107,11 +115,8 @@ def network(tmp_path):
 
 
 @pytest.fixture
-def imported(run, network, press_folder, tmp_path):
-    path = tmp_path / "imported.npz"
-    rest = press_folder / "background.png"
+def imported(works, network, press_folder, tmp_path):
+    path, rest = tmp_path / "imported.npz", press_folder / "background.png"
     how = ("--from", "gsrobotics-web", "--position", "true", "--background", rest)
-    code, _, err = run("import", network, *how, "-o", path)
-    assert code == 0, err
-    assert "results are in pixels" in err
+    assert "results are in pixels" in works("import", network, *how, "-o", path)[1]
     return path

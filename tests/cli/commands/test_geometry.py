@@ -50,31 +50,28 @@ def test_a_measured_scale_reaches_the_calibration(run, run_json, folder, images,
     assert "a stage step of 3.9 mm" in calibration.settings["scale_source"]
 
 
-def test_marked_points(run, folder):
-    code, _, err = run("scale", folder, "--points", "20,10,100,70,12")
-    assert code == 0
+def test_marked_points(works, folder):
+    err = works("scale", folder, "--points", "20,10,100,70,12")[1]
     assert read_sensor_toml(folder / "sensor.toml").mm_per_px == pytest.approx(0.12)
     assert "0.12 +- " in err
 
 
-def test_points_given_twice_are_averaged_or_compared(run, fails, folder):
-    code, _, err = run("scale", folder, "--points", "20,10,100,10,9.6", "--points", "20,10,20,90,9.7")
-    assert code == 0
+def test_points_given_twice_are_averaged_or_compared(works, fails, folder):
+    err = works("scale", folder, "--points", "20,10,100,10,9.6", "--points", "20,10,20,90,9.7")[1]
     assert read_sensor_toml(folder / "sensor.toml").mm_per_px == pytest.approx(0.1206, abs=1e-4)
     assert err.count("two points") == 2
     block = ("--points", "20,10,101.9,10,7", "--points", "20,10,20,64,5")
     assert "pixels are not square: mm_per_px = [0.08547, 0.092593]" in fails("scale", folder, *block)
 
 
-def test_a_scale_that_no_gel_has_is_not_written(run, fails, folder, imported):
+def test_a_scale_that_no_gel_has_is_not_written(works, fails, folder, imported):
     """Ten times too small: 160 px would be 2 mm."""
     for place in (folder, imported):
         before = (folder / "sensor.toml" if place == folder else place).read_bytes()
         named = fails("scale", place, "--points", "20,10,100,70,1.25")
         assert "between 3 and 150 mm wide, got 160 px of 0.0125 mm: 2 mm" in named
         assert (folder / "sensor.toml" if place == folder else place).read_bytes() == before
-        code, _, err = run("scale", place, "--points", "20,10,100,70,2.5")
-        assert code == 0
+        err = works("scale", place, "--points", "20,10,100,70,2.5")[1]
         assert "this one would be 160 px of 0.025 mm: 4 mm" in " ".join(err.split())
 
 
@@ -202,7 +199,7 @@ def test_loads_of_blue_green_red_give_the_same_forces_with_bgr(run_json, loads, 
 
 
 def test_loads_are_added_to_the_calibration_and_measured(
-    run, run_json, fails, loads, calibration_file, tmp_path
+    run, works, run_json, fails, loads, calibration_file, tmp_path
 ):
     own = Path(shutil.copy(calibration_file, tmp_path / "cal.npz"))
     before = own.read_bytes()
@@ -215,8 +212,7 @@ def test_loads_are_added_to_the_calibration_and_measured(
     errors = run_json("force", "evaluate", loads, "-c", own)
     assert re.search(r"^force +\d loads up to", run("info", own)[1], re.M)
     assert errors["normal"][-1]["mae"] < 0.01 < errors["normal"][-1]["constant"]["mae"]
-    code, out, err = run("force", "evaluate", loads, "-c", own)
-    assert code == 0
+    out, err = works("force", "evaluate", loads, "-c", own)
     assert "constant's (N)" in " ".join(out.split())
     assert out.count("(%)") == 5
     whole = next(line.split() for line in out.splitlines() if line.split()[:1] == ["all"])
@@ -225,8 +221,7 @@ def test_loads_are_added_to_the_calibration_and_measured(
     assert re.search(
         r"Errors of the normal force are [\d.e-]+ times the stated sigma\.", " ".join(err.split())
     )
-    code, _, err = run("force", "calibrate", loads, "-c", own, "-o", tmp_path / "other.npz")
-    assert code == 0
+    err = works("force", "calibrate", loads, "-c", own, "-o", tmp_path / "other.npz")[1]
     assert f"normal: {said['normal']['loads']} loads" in err
     assert (tmp_path / "other.npz").is_file()
 
@@ -249,7 +244,9 @@ def test_what_is_refused_leaves_the_calibration(fails, loads, calibration_file, 
     assert calibration_file.read_bytes() == before
 
 
-def test_the_lag_is_stored_and_its_range_s_end_is_a_warning(run, run_json, loads, calibration_file, tmp_path):
+def test_the_lag_is_stored_and_its_range_s_end_is_a_warning(
+    works, run_json, loads, calibration_file, tmp_path
+):
     """Loads that come four frames too early, which is beyond the range; evaluate takes the stored lag as it is."""
     rows = [line.split(",") for line in (loads / "loads.csv").read_text().splitlines()[1:]]
     names, force = [row[0] for row in rows], [float(row[2]) for row in rows]
@@ -263,8 +260,7 @@ def test_the_lag_is_stored_and_its_range_s_end_is_a_warning(run, run_json, loads
         lines.append(f"{names[k]},ball,0,{frame},{early}")
     (film / "loads.csv").write_text("\n".join([*lines, ""]))
     own = tmp_path / "cal.npz"
-    code, _, err = run("force", "calibrate", film, "-c", calibration_file, "-o", own)
-    assert code == 0
+    err = works("force", "calibrate", film, "-c", calibration_file, "-o", own)[1]
     assert "a lag of -3 frames is at the end of the range" in " ".join(err.split())
     assert gelform.load_calibration(own).force.lag_frames == -3
     still = film / "loads.csv"

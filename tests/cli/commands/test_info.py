@@ -107,9 +107,8 @@ def test_a_calibration(run, run_json, calibration_file):
     assert max(len(text) for text in said.values()) < 140
 
 
-def test_a_calibration_of_the_first_version(run):
-    code, out, _ = run("info", VERSION_1)
-    assert code == 0
+def test_a_calibration_of_the_first_version(works):
+    out = works("info", VERSION_1)[0]
     assert "64x80 px" in out
 
 

@@ -14,14 +14,13 @@ from gelform.cli.commands import inspection
 from gelform.exchange.plots import save_picture
 
 
-def test_errors_and_what_was_seen(run, run_json, press_folder, calibration_file):
+def test_errors_and_what_was_seen(works, run_json, press_folder, calibration_file):
     said = run_json("evaluate", press_folder, "-c", calibration_file)
     expected = evaluate(load_calibration(calibration_file), read_presses(press_folder))
     assert said["summary"] == expected.summary
     assert said["seen"] == expected.seen > 0
     assert said["where"] == expected.where
-    code, out, err = run("evaluate", press_folder, "-c", calibration_file)
-    assert code == 0
+    out, err = works("evaluate", press_folder, "-c", calibration_file)
     assert f"made from {expected.seen} of these presses" in err
     assert out.count("(used)") == expected.seen
     assert "may even be larger" in err
@@ -35,10 +34,9 @@ def test_errors_and_what_was_seen(run, run_json, press_folder, calibration_file)
     assert max(len(line.rstrip()) for line in out.splitlines()) <= 80
 
 
-def test_evaluate_ends_with_what_the_errors_mean(run, press_folder, calibration_file):
+def test_evaluate_ends_with_what_the_errors_mean(works, press_folder, calibration_file):
     degrees = load_calibration(calibration_file).held_out["normal_free_deg"]
-    code, _, err = run("evaluate", press_folder, "-c", calibration_file)
-    assert code == 0
+    err = works("evaluate", press_folder, "-c", calibration_file)[1]
     assert f"at calibration ({degrees:.2g}°)." in " ".join(err.split())
     then = {"normal_free_deg": 2.3}
     for now, said in (
@@ -94,7 +92,7 @@ def test_mistakes_are_one_line(fails, press_folder, calibration_file, tmp_path):
     assert "expected two, got 1" in fails("compare", image, *mine, status=2)
 
 
-def test_heights_of_flat_punches_are_shown(run, press_folder, calibration_file, tmp_path):
+def test_heights_of_flat_punches_are_shown(works, press_folder, calibration_file, tmp_path):
     """The table, not the heights: the press that is listed as that of a punch is one of a ball."""
     copy = shutil.copytree(press_folder, tmp_path / "copy")
     header, first, *others = (copy / "presses.csv").read_text().splitlines()
@@ -107,8 +105,7 @@ def test_heights_of_flat_punches_are_shown(run, press_folder, calibration_file, 
         *(line + ",," for line in others),
     ]
     (copy / "presses.csv").write_text("\n".join(lines) + "\n")
-    code, out, _ = run("evaluate", copy, "-c", calibration_file)
-    assert code == 0
+    out = works("evaluate", copy, "-c", calibration_file)[0]
     shown = next(line for line in out.split("Flat punches")[1].splitlines() if row["image"] in line)
     assert " 0.5 " in shown
     assert max(len(line.rstrip()) for line in out.splitlines()) <= 80
@@ -120,7 +117,7 @@ def images_of(press_folder):
 
 @pytest.mark.slow
 def test_compare_writes_a_picture_for_each_image(
-    run, run_json, imported, calibration_file, press_folder, tmp_path
+    works, run_json, imported, calibration_file, press_folder, tmp_path
 ):
     pytest.importorskip("matplotlib", reason="matplotlib, the extra `plots`, is not installed")
     images, folder = images_of(press_folder), tmp_path / "side"
@@ -130,8 +127,7 @@ def test_compare_writes_a_picture_for_each_image(
         assert gelform.read_image(folder / f"{image.stem}.png").shape[2] == 3
         assert row["unit"] == "px"
         assert row["peak_a"] > 0
-    code, out, _ = run("compare", images[0], "-c", calibration_file, "-c", calibration_file)
-    assert code == 0
+    out = works("compare", images[0], "-c", calibration_file, "-c", calibration_file)[0]
     assert "peak A (mm)" in out
 
 
@@ -154,7 +150,7 @@ def spotted(press_folder, tmp_path):
 
 @pytest.mark.slow
 def test_explain_names_causes_and_draws_them(
-    run, run_json, calibration_file, press_folder, spotted, tmp_path
+    works, run_json, calibration_file, press_folder, spotted, tmp_path
 ):
     pytest.importorskip("matplotlib", reason="matplotlib, the extra `plots`, is not installed")
     clean = press_folder / "images" / "0001.png"
@@ -166,7 +162,6 @@ def test_explain_names_causes_and_draws_them(
     found = [{finding["name"]: finding["figure"] for finding in row["findings"]} for row in rows]
     assert "saturated" not in found[0]
     assert found[1]["saturated"] == pytest.approx(20 * 25 / (120 * 160), rel=0.6)
-    code, out, said = run("explain", spotted, "-c", calibration_file)
-    assert code == 0
+    out, said = works("explain", spotted, "-c", calibration_file)
     assert "saturated (%)" in out
     assert "of the frame is at the camera's upper end. Lower exposure" in said

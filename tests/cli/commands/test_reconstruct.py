@@ -29,9 +29,8 @@ def images(press_folder, tmp_path):
     return paths
 
 
-def test_23_images_of_one_name_give_23_results(run, images, calibration_file, press_folder, tmp_path):
-    code, out, err = run("reconstruct", *images, "-c", calibration_file, "-o", tmp_path / "out")
-    assert code == 0, err
+def test_23_images_of_one_name_give_23_results(works, images, calibration_file, press_folder, tmp_path):
+    out = works("reconstruct", *images, "-c", calibration_file, "-o", tmp_path / "out")[0]
     assert sorted(
         path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.npz")
     ) == sorted(f"{k}/gelsight.npz" for k in range(23))
@@ -50,13 +49,12 @@ def opened(monkeypatch):
 
 
 def test_a_folder_and_a_pattern_become_depth_to_look_at(
-    run, images, calibration_file, press_folder, tmp_path, opened
+    run, works, images, calibration_file, press_folder, tmp_path, opened
 ):
     shutil.copy(press_folder / "background.png", tmp_path / "in" / "rest.png")
     rest = ("--background", tmp_path / "in" / "rest.png")
     given = (tmp_path / "in", "-c", calibration_file, "-o", tmp_path / "a", *rest, "--view")
-    code, _, err = run("reconstruct", *given)
-    assert code == 0, err
+    works("reconstruct", *given)
     run(
         "reconstruct",
         tmp_path / "in" / "*" / "gelsight.png",
@@ -81,7 +79,9 @@ def test_a_folder_and_a_pattern_become_depth_to_look_at(
     assert "already there" in run("reconstruct", *given)[2]
 
 
-def test_a_video_becomes_whole_results_to_look_at(run, calibration_file, press_folder, tmp_path, opened):
+def test_a_video_becomes_whole_results_to_look_at(
+    run, works, calibration_file, press_folder, tmp_path, opened
+):
     frames = [read_image(press_folder / "images" / f"{k:04d}.png") for k in range(3)]
     path = tmp_path / "press.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 25.0, frames[0].shape[1::-1])
@@ -89,8 +89,7 @@ def test_a_video_becomes_whole_results_to_look_at(run, calibration_file, press_f
         writer.write(np.ascontiguousarray(frame[..., ::-1]))
     writer.release()
     given = ("reconstruct", path, "-c", calibration_file, "-o", tmp_path / "out")
-    code, _, err = run(*given, "--view")
-    assert code == 0, err
+    err = works(*given, "--view")[1]
     result = load_result(tmp_path / "out" / "frames" / "press.avi" / "000002.npz")
     expected = gelform.Reconstructor(calibration_file)(frames[2])
     np.testing.assert_array_equal(result.depth_mm, expected.depth_mm)
@@ -222,14 +221,13 @@ def test_one_bad_image_does_not_stop_the_others(run, run_json, calibration_file,
     assert [one["image"] for one in said["failed"]] == [str(tmp_path / "bad.png")]
 
 
-def test_it_goes_on_where_it_was(run, calibration_file, press_folder, tmp_path):
+def test_it_goes_on_where_it_was(run, works, calibration_file, press_folder, tmp_path):
     images = [press_folder / "images" / f"000{k}.png" for k in range(3)]
     out = tmp_path / "out"
     assert run("reconstruct", *images, "-c", calibration_file, "-o", out, "-q")[0] == 0
     (out / "0001.npz").unlink()
     (out / "0002.npz").write_text("mine")
-    code, said, err = run("reconstruct", *images, "-c", calibration_file, "-o", out, "--skip-existing")
-    assert code == 0
+    said, err = works("reconstruct", *images, "-c", calibration_file, "-o", out, "--skip-existing")
     assert "1 of 3 images done, 2 skipped, 0 failed." in err
     assert said.count(".npz") == 1
     assert load_result(out / "0001.npz")
@@ -250,15 +248,16 @@ def test_a_frame_of_which_nothing_is_known_has_dashes(run, run_json, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".tiff"])
-def test_every_image_of_one_file_is_done(run, run_json, press_folder, calibration_file, tmp_path, suffix):
+def test_every_image_of_one_file_is_done(
+    run, works, run_json, press_folder, calibration_file, tmp_path, suffix
+):
     images = [gelform.read_image(path) for path in sorted((press_folder / "images").iterdir())[:3]]
     path = tmp_path / f"stack{suffix}"
     if suffix == ".npy":
         np.save(path, images)
     else:
         cv2.imwritemulti(str(path), [image[..., ::-1] for image in images])
-    code, _, err = run("reconstruct", path, "-c", calibration_file, "-o", tmp_path / "out")
-    assert code == 0, err
+    works("reconstruct", path, "-c", calibration_file, "-o", tmp_path / "out")
     done = sorted((tmp_path / "out").rglob("*.npz"))
     wanted = gelform.Reconstructor(gelform.load_calibration(calibration_file))
     assert len(done) == 3

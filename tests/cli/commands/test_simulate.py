@@ -43,10 +43,9 @@ def roof(tmp_path):
     return ("-o", tmp_path / "out", "--height-map", tmp_path / "roof.npy", *pitch)
 
 
-def test_loads_are_those_of_the_true_volumes_and_calibrate_forces(run, tmp_path, calibration_file):
+def test_loads_are_those_of_the_true_volumes_and_calibrate_forces(works, tmp_path, calibration_file):
     out = tmp_path / "loads"
-    code, _, err = run("simulate", "-o", out, "--sensor", "small", "--count", "8", "--loads", "--seed", "3")
-    assert code == 0, err
+    err = works("simulate", "-o", out, "--sensor", "small", "--count", "8", "--loads", "--seed", "3")[1]
     with (out / "loads.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {row["object"] for row in rows} == {"ball 6 mm", "ball 9 mm"}
@@ -56,16 +55,14 @@ def test_loads_are_those_of_the_true_volumes_and_calibrate_forces(run, tmp_path,
         assert float(row["force_n"]) == pytest.approx(0.1 * volume_mm3, rel=1e-4)
     with (out / "presses.csv").open(newline="") as file:
         assert "force_n" not in next(csv.DictReader(file))
-    code, _, err = run("force", "calibrate", out, "-c", calibration_file, "-o", tmp_path / "force.npz")
-    assert code == 0, err
+    works("force", "calibrate", out, "-c", calibration_file, "-o", tmp_path / "force.npz")
 
 
-def test_a_press_that_moves_is_tracked(run, run_json, fails, tmp_path, calibration_file):
+def test_a_press_that_moves_is_tracked(works, run_json, fails, tmp_path, calibration_file):
     out, table = tmp_path / "out", tmp_path / "track.csv"
     arguments = ("simulate", "--sensor", "small", "--count", "1", "--depth-mm", "0.4")
     assert run_json(*arguments, "--as", "video", "-o", out)["as"] == ["video"]
-    code, _, err = run("track", out / "moving/moving.avi", "-c", calibration_file, "-o", table)
-    assert code == 0, err
+    works("track", out / "moving/moving.avi", "-c", calibration_file, "-o", table)
     with table.open(newline="") as file, (out / "moving/motion.csv").open(newline="") as truth:
         pairs = list(zip(csv.DictReader(file), csv.DictReader(truth), strict=True))
     found = [(row, true) for row, true in pairs if row["state"] != "lost"]
@@ -78,14 +75,13 @@ def test_a_press_that_moves_is_tracked(run, run_json, fails, tmp_path, calibrati
     assert not (tmp_path / "no").exists()
 
 
-def test_all_truth_of_a_height_map_is_written(run, tmp_path):
+def test_all_truth_of_a_height_map_is_written(works, tmp_path):
     block = np.zeros((60, 60))
     block[20:40, 20:40] = 0.5
     np.save(tmp_path / "block.npy", block)
     face = ("--height-map", tmp_path / "block.npy", "--height-map-mm-per-px", "0.1", "--depth-mm", "0.3")
     arguments = ("simulate", "-o", tmp_path / "out", "--sensor", "small", *face)
-    code, _, err = run(*arguments, "--seed", "7")
-    assert code == 0, err
+    works(*arguments, "--seed", "7")
     with np.load(tmp_path / "out" / "truth.npz") as truth:
         assert truth["contact"].sum() * 0.1268**2 == pytest.approx(4, rel=0.25)
         assert {"depth_mm", "gradients", "albedo", "shadowed", "saturated", "markers_px"} <= set(truth.files)
@@ -145,9 +141,8 @@ def test_presses_like_a_calibration(run_json, calibration_file, tmp_path):
     assert np.any(flat[0] != flat[1])
 
 
-def test_a_height_map_like_a_calibration(run, calibration_file, roof, tmp_path):
-    code, _, err = run("simulate", *roof, "--like", calibration_file)
-    assert code == 0, err
+def test_a_height_map_like_a_calibration(works, calibration_file, roof, tmp_path):
+    works("simulate", *roof, "--like", calibration_file)
     image, rest = (read_image(tmp_path / "out" / f"{n}.png").astype(float) for n in ("image", "background"))
     with np.load(tmp_path / "out" / "truth.npz") as truth:
         pressed = truth["depth_mm"] > 0.2

@@ -31,10 +31,9 @@ def _slid(folder, sensor):
     return folder
 
 
-def test_a_slide_becomes_a_table_and_a_surface(run, slide, calibration_file, tmp_path):
+def test_a_slide_becomes_a_table_and_a_surface(works, slide, calibration_file, tmp_path):
     table, surface = tmp_path / "out" / "track.csv", tmp_path / "bar.npz"
-    code, _, err = run("track", slide, "-c", calibration_file, "-o", table, "--surface", surface)
-    assert code == 0, err
+    err = works("track", slide, "-c", calibration_file, "-o", table, "--surface", surface)[1]
     assert f"Wrote {table}: " in err
     with table.open() as file:
         rows = list(csv.DictReader(file))
