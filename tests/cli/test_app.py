@@ -18,7 +18,7 @@ from gelform import __version__
 from gelform.cli import command_names, options
 from gelform.cli.app import GROUPS, app
 from gelform.cli.app import SUBCOMMANDS as WITH_OWN
-from gelform.cli.options import as_written, numbers, one_of, positive
+from gelform.cli.options import as_written, numbers, positive
 
 COMMANDS = command_names()
 BELOW = {"calibrations": ("list", "add", "remove", "export"), "force": ("calibrate", "evaluate")}
@@ -28,12 +28,7 @@ HEAVY = ("numpy", "scipy", "cv2", "matplotlib", "rich")
 
 def test_help_imports_nothing_heavy():
     """One process says after each command's help what it has brought in."""
-    asked = [
-        [],
-        ["--help"],
-        ["--version"],
-        *([*name.split(), "--help"] for name in (*COMMANDS, *SUBCOMMANDS)),
-    ]
+    asked = [[], ["--version"], *([*name.split(), "--help"] for name in ("", *COMMANDS, *SUBCOMMANDS))]
     program = f"""
 import contextlib, io, sys
 from gelform.cli import main
@@ -127,12 +122,6 @@ def test_numbers_are_read_and_others_refused():
             numbers(text, "A,B,C", "--x")
 
 
-def test_a_name_has_to_be_known():
-    assert one_of("a", ("a", "b"), "--x") == "a"
-    with pytest.raises(typer.BadParameter, match="expected a or b, got 'c'"):
-        one_of("c", ("a", "b"), "--x")
-
-
 @pytest.mark.parametrize(
     ("option", "value", "message"),
     [
@@ -203,33 +192,23 @@ def texts_of(path):
     tree = ast.parse(path.read_text(encoding="utf-8"))
     kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     docs = {ast.get_docstring(node, clean=False) for node in ast.walk(tree) if isinstance(node, kinds)}
-    found = [
-        node.value
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Constant) and isinstance(node.value, str)
-    ]
-    return [text for text in found if text not in docs]
+    found = [node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)]
+    return [text for text in found if isinstance(text, str) and text not in docs]
+
+
+def options_named_in(path):
+    return {name for text in texts_of(path) for name in re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)}
 
 
 # Options of other programs, and of gelform itself, that messages name.
-FOREIGN = {
-    "--src",
-    "--dst",
-    "--dst-storage",
-    "--list-formats-ext",
-    "--list-ctrls",
-    "--reload-rules",
-    "--debug",
-    "--help",
-}
-FOREIGN |= {"--force-reinstall", "--no-deps", "--version"}
+FOREIGN = {"--src", "--dst", "--dst-storage", "--list-formats-ext", "--list-ctrls", "--reload-rules"}
+FOREIGN |= {"--debug", "--help", "--version", "--force-reinstall", "--no-deps"}
 
 
 def test_options_that_messages_name_exist():
     known = set().union(*(options_of(command) for _, command in all_commands())) | FOREIGN
     for path in SOURCE.rglob("*.py"):
-        named = {name for text in texts_of(path) for name in re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)}
-        assert named <= known, (path, named - known)
+        assert options_named_in(path) <= known, (path, options_named_in(path) - known)
 
 
 def test_messages_advise_no_python():
@@ -245,16 +224,8 @@ def test_messages_advise_no_python():
 def test_options_that_readers_of_frames_name_exist_where_frames_are_read():
     """A message of the reader of data sets reaches every command that lists frames."""
     commands = dict(all_commands())
-    named = (
-        {
-            name
-            for path in (SOURCE / "batch" / "inputs.py", SOURCE / "batch" / "containers.py")
-            for text in texts_of(path)
-            for name in re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)
-        }
-        - FOREIGN
-        - {"--keep"}
-    )
+    readers = (SOURCE / "batch" / name for name in ("inputs.py", "containers.py"))
+    named = set().union(*map(options_named_in, readers)) - FOREIGN - {"--keep"}
     assert "--dataset" in named
     for command in ("batch", "reconstruct"):
         assert named <= options_of(commands[command]), (command, named - options_of(commands[command]))

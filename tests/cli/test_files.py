@@ -7,9 +7,11 @@ Files of other programs, met by any command: the message has what to do with the
 
 import errno
 import os
+import shutil
 from functools import partial
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -174,43 +176,76 @@ BAG = "rosbags-convert --src {} --dst {}_mcap --dst-storage mcap"
     ],
 )
 def test_every_command_that_meets_one_says_what_to_do(
-    run, calibration_file, press_folder, tmp_path, name, way
+    fails, calibration_file, press_folder, tmp_path, name, way
 ):
     path, out = tmp_path / name, tmp_path / "out"
     path.write_bytes(b"anything at all, long enough to be looked at")
     if name.endswith(".npz"):
         np.savez(path, frames=np.zeros((2, 4, 5, 3), np.uint8))
-    for command in (
-        ("info", path),
-        ("reconstruct", path, "-c", calibration_file, "-o", out),
-        ("batch", path, "-c", calibration_file, "-o", out),
-        ("explain", path, "-c", calibration_file, "-o", out),
-        ("calibrate", path, "-o", out),
-        ("track", path, "-c", calibration_file, "-o", out),
-        ("live", path, "-c", calibration_file),
-        ("reconstruct", press_folder / "images" / "0000.png", "-c", path, "-o", out)
-        if not name.endswith(".npz")
-        else ("info", path),
-    ):
-        code, _, err = run(*command)
-        assert code == 1, (command, err)
-        assert way in " ".join(err.split()), command
+    mine, to = ("-c", calibration_file), ("-o", out)
+    reading = [(name, path, *mine, *to) for name in ("reconstruct", "batch", "explain", "track")]
+    for command in (*reading, ("info", path), ("calibrate", path, *to), ("live", path, *mine)):
+        assert way in fails(*command), command
+    if not name.endswith(".npz"):
+        assert way in fails("reconstruct", press_folder / "images" / "0000.png", "-c", path, *to)
 
 
-def test_a_bag_of_sqlite3_has_the_converting_line_in_every_command(run, calibration_file, tmp_path):
+def test_a_bag_of_sqlite3_has_the_converting_line_in_every_command(works, fails, calibration_file, tmp_path):
     bag = tmp_path / "my_bag"
     bag.mkdir()
     (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  version: 9\n")
     (bag / "my_bag_0.db3").write_bytes(b"SQLite format 3")
-    for command in (
-        ("reconstruct", bag, "-c", calibration_file, "-o", tmp_path / "out"),
-        ("batch", bag, "-c", calibration_file, "-o", tmp_path / "out"),
-        ("calibrate", bag, "-o", tmp_path / "out"),
-        ("track", bag, "-c", calibration_file, "-o", tmp_path / "out.csv"),
-        ("live", bag, "-c", calibration_file),
-        ("bag", bag, "-c", calibration_file, "-o", tmp_path / "out"),
-    ):
-        code, _, err = run(*command)
-        assert code == 1, (command, err)
-        assert BAG.format("my_bag", "my_bag") in " ".join(err.split()), command
-    assert BAG.format("my_bag", "my_bag") in " ".join(run("info", bag)[1].split())
+    out, way = tmp_path / "out.csv", BAG.format("my_bag", "my_bag")
+    for command in ("reconstruct", "batch", "track", "bag", "live"):
+        to = () if command == "live" else ("-o", out)
+        assert way in fails(command, bag, "-c", calibration_file, *to), command
+    assert way in fails("calibrate", bag, "-o", out)
+    assert way in " ".join(works("info", bag)[0].split())
+
+
+@pytest.fixture(scope="session")
+def in_bgr(press_folder, tmp_path_factory):
+    """The press folder with loads of its volumes; the same with the colors in OpenCV's order, and one array of them."""
+    right, turned = (tmp_path_factory.mktemp("colors") / name for name in ("rgb", "bgr"))
+    shutil.copytree(press_folder, right)
+    lines = ["image,object,force_n"]
+    for path in sorted((right / "truth").glob("*.npz")):
+        with np.load(path) as truth:
+            lines.append(f"images/{path.stem}.png,ball,{truth['depth_mm'][truth['contact']].sum() / 1250}")
+    (right / "loads.csv").write_text("\n".join([*lines, ""]))
+    shutil.copytree(right, turned)
+    for path in turned.rglob("*.png"):
+        cv2.imwrite(str(path), cv2.imread(str(path))[..., ::-1])
+    np.save(right / "1.npy", cv2.imread(str(turned / "images" / "0001.png")))
+    np.save(turned / "1.npy", cv2.imread(str(right / "images" / "0001.png")))
+    return right, turned
+
+
+@pytest.mark.parametrize(
+    ("command", "key"),
+    [
+        ("calibrate {} -o {out} --model polynomial", ["held_out"]),
+        ("evaluate {} -c {cal}", []),  # which knows again the presses that it has seen
+        ("force calibrate {} -c {cal} -o {out} --sure-of-unit", ["normal"]),
+        ("compare {}/1.npy -c {cal} -c {cal}", ["images", 0, "peak_a"]),
+        ("explain {}/1.npy -c {cal}", ["images", 0, "trusted_share"]),
+        ("reconstruct {}/1.npy -c {cal} -o {out}", ["results", 0, "peak_mm"]),
+        ("batch {}/images -c {cal} -o {out}", ["tally"]),
+        ("bag {}/images -c {cal} -o {out}", ["tally"]),
+    ],
+)
+def test_colors_as_opencv_has_them_give_the_same_numbers(
+    run_json, in_bgr, calibration_file, tmp_path, command, key
+):
+    said = []
+    for number, (folder, more) in enumerate(zip(in_bgr, ((), ("--bgr",)))):
+        words = command.format(folder, cal=calibration_file, out=tmp_path / f"{number}.npz").split()
+        said.append(run_json(*words, *more))
+        for part in key:
+            said[-1] = said[-1][part]
+    assert said[0] == said[1]
+
+
+def test_colors_in_the_other_order_name_the_option(fails, in_bgr, calibration_file):
+    for command, path in (("evaluate", in_bgr[1]), ("explain", in_bgr[1] / "images" / "0001.png")):
+        assert "--bgr" in fails(command, path, "-c", calibration_file)

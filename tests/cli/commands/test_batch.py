@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from gelform.cli.commands.batch import _line
+from gelform.cli.process import status_of
+from gelform.foundations.findings import FrameTally
 from hostile.commands import make_work
 
 
@@ -92,23 +94,6 @@ def test_the_table_is_csv_where_parquet_cannot_be_written(works, work, images, t
         assert (out / "frames.csv").exists()
 
 
-def test_images_in_the_order_of_opencv(run_json, fails, work, images, tmp_path):
-    (tmp_path / "in").mkdir()
-    for path in work.glob("image*.png"):
-        image = cv2.imread(str(path))
-        cv2.imwrite(str(tmp_path / "in" / path.name), image[..., ::-1])
-    command = ("batch", tmp_path / "in", "-c", work / "cal.npz", "-o", tmp_path / "out")
-    assert run_json(*command, "--bgr")["errors"] == 0
-    straight = run_json("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "rgb")
-    assert straight["errors"] == 0
-    ours, theirs = (sorted((tmp_path / one / "frames").rglob("*.npz")) for one in ("out", "rgb"))
-    assert len(ours) == len(theirs) == 3
-    for one, other in zip(ours, theirs):
-        with np.load(one) as mine, np.load(other) as wanted:
-            np.testing.assert_array_equal(mine["depth_mm"], wanted["depth_mm"])
-    assert "bgr" in fails(*command)
-
-
 def test_a_shard_says_that_others_are_to_come(works, work, images, tmp_path):
     err = works("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out", "--shard", "2/2")[1]
     assert "This shard is done" in err
@@ -165,3 +150,37 @@ def test_what_is_wrong_is_listed_and_the_status_is_1(run, output):
     code, out, _ = run("verify", output, "--json")
     assert code == 1
     assert json.loads(out)["frames"] == 2
+
+
+GOOD, DOUBTFUL, UNKNOWN = ([], True), (["beyond_gel"], True), (["not_this_gel"], False)
+
+
+@pytest.mark.parametrize(
+    ("frames", "failed", "status", "accepted"),
+    [
+        ([GOOD, DOUBTFUL], 0, 0, 0),
+        ([GOOD, DOUBTFUL, DOUBTFUL], 0, 3, 0),
+        ([GOOD, UNKNOWN, UNKNOWN], 0, 3, 0),
+        ([UNKNOWN], 0, 1, 1),
+        ([GOOD], 1, 1, 1),
+        ([DOUBTFUL], 1, 1, 1),
+        ([], 2, 1, 1),
+        ([], 0, 0, 0),
+    ],
+)
+def test_what_the_frames_make_of_the_status(frames, failed, status, accepted):
+    tally = FrameTally()
+    for names, known in frames:
+        tally.add(names, known=known)
+    for _ in range(failed):
+        tally.add_failed("it is empty")
+    assert status_of(tally, accept_doubtful=False, quiet=True) == status
+    assert status_of(tally, accept_doubtful=True, quiet=True) == accepted
+
+
+def test_few_frames_are_no_zero_percent(capsys):
+    tally = FrameTally()
+    for k in range(300):
+        tally.add(["steep"] * (k == 0), known=True)
+    status_of(tally, accept_doubtful=False, quiet=False)
+    assert capsys.readouterr().err == "Findings in 300 frames: steep under 1 %.\n"

@@ -73,25 +73,6 @@ def test_a_scale_of_no_sensor_is_a_mistake_of_the_input(fails, folder, calibrati
     assert "1.01 mm" in fails("calibrate", folder, "-o", tmp_path / "b.npz")
 
 
-def test_presses_of_blue_green_red_are_the_same_with_bgr(run, run_json, folder, tmp_path):
-    turned = tmp_path / "turned"
-    shutil.copytree(folder, turned)
-    for path in turned.rglob("*.png"):
-        cv2.imwrite(str(path), cv2.imread(str(path))[..., ::-1])
-    how = ("--model", "polynomial")
-    right = run_json("calibrate", folder, *how, "-o", tmp_path / "right.npz")
-    said = run_json("calibrate", turned, *how, "-o", tmp_path / "turned.npz", "--bgr")
-    assert said["held_out"] == right["held_out"]
-    found = load_calibration(tmp_path / "turned.npz")
-    assert found.training_digests == load_calibration(tmp_path / "right.npz").training_digests, (
-        "the presses are known again in RGB"
-    )
-    again = run_json("evaluate", turned, "-c", tmp_path / "right.npz", "--bgr")
-    assert again["summary"] == run_json("evaluate", folder, "-c", tmp_path / "right.npz")["summary"]
-    code, _, err = run("evaluate", turned, "-c", tmp_path / "right.npz")
-    assert (code, "(--bgr)" in err) == (1, True), err
-
-
 def test_tables_are_shown_only_if_asked_for(run, folder, tmp_path):
     (folder / "images" / "0003.png").write_bytes((folder / "background.png").read_bytes())
     how = ("--model", "polynomial", "--overwrite", "-o", tmp_path / "cal.npz")

@@ -185,19 +185,6 @@ def loads(small, calibration_file, tmp_path_factory):
     return folder
 
 
-def test_loads_of_blue_green_red_give_the_same_forces_with_bgr(run_json, loads, calibration_file, tmp_path):
-    turned = Path(shutil.copytree(loads, tmp_path / "turned"))
-    for path in turned.glob("*.png"):
-        cv2.imwrite(str(path), cv2.imread(str(path))[..., ::-1])
-    right, found = (
-        run_json(
-            "force", "calibrate", folder, "-c", calibration_file, "-o", tmp_path / f"{folder.name}.npz", *more
-        )
-        for folder, more in ((loads, ()), (turned, ("--bgr",)))
-    )
-    assert found["normal"] == right["normal"]
-
-
 def test_loads_are_added_to_the_calibration_and_measured(
     run, works, run_json, fails, loads, calibration_file, tmp_path
 ):

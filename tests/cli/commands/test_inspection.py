@@ -60,22 +60,6 @@ def test_folders_are_their_images(run_json, fails, press_folder, calibration_fil
         assert "Its frames: gelform batch" in fails(command[0], tmp_path / "stack.npy", *command[1:])
 
 
-def test_frames_as_opencv_writes_them(run_json, press_folder, calibration_file, tmp_path):
-    """An array of blue, green, red gives the same depth with --bgr."""
-    image = images_of(press_folder)[0]
-    np.save(tmp_path / "bgr.npy", cv2.imread(str(image)))
-    mine = ("-c", calibration_file)
-    right = run_json("compare", image, *mine, *mine)["images"][0]["peak_a"]
-    assert run_json("compare", tmp_path / "bgr.npy", *mine, *mine, "--bgr")["images"][0]["peak_a"] == right
-    given = ("reconstruct", tmp_path / "bgr.npy", *mine, "-o", tmp_path / "out", "--bgr")
-    assert run_json(*given)["results"][0]["peak_mm"] == right
-    shares = [
-        run_json("explain", *one)["images"][0]["trusted_share"]
-        for one in ((image, *mine), (tmp_path / "bgr.npy", *mine, "--bgr"))
-    ]
-    assert shares[0] == shares[1]
-
-
 def test_mistakes_are_one_line(fails, press_folder, calibration_file, tmp_path):
     """Presses of another size, an image of another sensor, no calibration, one in place of two."""
     gray = np.full((60, 80, 3), 90, dtype=np.uint8)
