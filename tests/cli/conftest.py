@@ -1,6 +1,7 @@
 """A small simulated sensor, its press folder and its calibration, made once for the tests of the commands."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -33,6 +34,13 @@ def _pressed(path):
         SMALL, ball_diameters_mm=(6, 9), count=10, rng=np.random.default_rng(0), oversample=1
     )
     return save_simulated_presses(path, presses)
+
+
+@pytest.fixture
+def folder(press_folder, tmp_path):
+    """A copy of the press folder, to be changed."""
+    ignored = shutil.ignore_patterns("truth")
+    return shutil.copytree(press_folder, tmp_path / "presses", ignore=ignored)
 
 
 @pytest.fixture(scope="session")

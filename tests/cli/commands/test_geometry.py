@@ -32,51 +32,51 @@ def images(small, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_measured_scale_reaches_the_calibration(run, run_json, folder, images, small, tmp_path):
+def test_a_measured_scale_reaches_the_calibration(run, run_json, guessed, images, small, tmp_path):
     pressed = f"{images / 'left.png'},{images / 'right.png'},3.9"
     far = 17 / small.mm_per_px
     given = ("--stage", pressed, "--points", f"0,0,{far},0,17")
-    said = run_json("scale", folder, *given)
-    assert said["file"] == str(folder / "sensor.toml")
+    said = run_json("scale", guessed, *given)
+    assert said["file"] == str(guessed / "sensor.toml")
     assert said["mm_per_px"] == pytest.approx(small.mm_per_px, rel=0.015)
     assert abs(said["mm_per_px"] - small.mm_per_px) < 3 * said["mm_per_px_sigma"]
-    settings = read_sensor_toml(folder / "sensor.toml")
+    settings = read_sensor_toml(guessed / "sensor.toml")
     assert settings.mm_per_px == pytest.approx(said["mm_per_px"])
     assert settings.mm_per_px_sigma == pytest.approx(said["mm_per_px_sigma"])
-    assert run("calibrate", folder, "-o", tmp_path / "cal.npz", "--model", "polynomial")[0] == 0
+    assert run("calibrate", guessed, "-o", tmp_path / "cal.npz", "--model", "polynomial")[0] == 0
     calibration = load_calibration(tmp_path / "cal.npz")
     assert calibration.mm_per_px == pytest.approx(said["mm_per_px"])
     assert "two points" in calibration.settings["scale_source"]
     assert "a stage step of 3.9 mm" in calibration.settings["scale_source"]
 
 
-def test_marked_points(works, folder):
-    err = works("scale", folder, "--points", "20,10,100,70,12")[1]
-    assert read_sensor_toml(folder / "sensor.toml").mm_per_px == pytest.approx(0.12)
+def test_marked_points(works, guessed):
+    err = works("scale", guessed, "--points", "20,10,100,70,12")[1]
+    assert read_sensor_toml(guessed / "sensor.toml").mm_per_px == pytest.approx(0.12)
     assert "0.12 +- " in err
 
 
-def test_points_given_twice_are_averaged_or_compared(works, fails, folder):
-    err = works("scale", folder, "--points", "20,10,100,10,9.6", "--points", "20,10,20,90,9.7")[1]
-    assert read_sensor_toml(folder / "sensor.toml").mm_per_px == pytest.approx(0.1206, abs=1e-4)
+def test_points_given_twice_are_averaged_or_compared(works, fails, guessed):
+    err = works("scale", guessed, "--points", "20,10,100,10,9.6", "--points", "20,10,20,90,9.7")[1]
+    assert read_sensor_toml(guessed / "sensor.toml").mm_per_px == pytest.approx(0.1206, abs=1e-4)
     assert err.count("two points") == 2
     block = ("--points", "20,10,101.9,10,7", "--points", "20,10,20,64,5")
-    assert "pixels are not square: mm_per_px = [0.08547, 0.092593]" in fails("scale", folder, *block)
+    assert "pixels are not square: mm_per_px = [0.08547, 0.092593]" in fails("scale", guessed, *block)
 
 
-def test_a_scale_that_no_gel_has_is_not_written(works, fails, folder, imported):
+def test_a_scale_that_no_gel_has_is_not_written(works, fails, guessed, imported):
     """Ten times too small: 160 px would be 2 mm."""
-    for place in (folder, imported):
-        before = (folder / "sensor.toml" if place == folder else place).read_bytes()
+    for place in (guessed, imported):
+        before = (guessed / "sensor.toml" if place == guessed else place).read_bytes()
         named = fails("scale", place, "--points", "20,10,100,70,1.25")
         assert "between 3 and 150 mm wide, got 160 px of 0.0125 mm: 2 mm" in named
-        assert (folder / "sensor.toml" if place == folder else place).read_bytes() == before
+        assert (guessed / "sensor.toml" if place == guessed else place).read_bytes() == before
         err = works("scale", place, "--points", "20,10,100,70,2.5")[1]
         assert "this one would be 160 px of 0.025 mm: 4 mm" in " ".join(err.split())
 
 
-def test_what_cannot_be_is_refused_and_nothing_changes(fails, folder, images, calibration_file):
-    before = [path.read_bytes() for path in (folder / "sensor.toml", calibration_file)]
+def test_what_cannot_be_is_refused_and_nothing_changes(fails, guessed, images, calibration_file):
+    before = [path.read_bytes() for path in (guessed / "sensor.toml", calibration_file)]
     assert "sensor.toml" in fails("scale", calibration_file, "--points", "20,10,100,70,12")
     for arguments, text, status in (
         ((), "--points, --stage or both", 2),
@@ -91,24 +91,17 @@ def test_what_cannot_be_is_refused_and_nothing_changes(fails, folder, images, ca
             1,
         ),
     ):
-        assert text in fails("scale", folder, *arguments, status=status)
-    assert [path.read_bytes() for path in (folder / "sensor.toml", calibration_file)] == before
+        assert text in fails("scale", guessed, *arguments, status=status)
+    assert [path.read_bytes() for path in (guessed / "sensor.toml", calibration_file)] == before
 
 
 @pytest.fixture
-def presses(press_folder, tmp_path):
-    """A copy of the press folder, to be changed."""
-    ignored = shutil.ignore_patterns("truth")
-    return shutil.copytree(press_folder, tmp_path / "presses", ignore=ignored)
-
-
-@pytest.fixture
-def folder(presses):
+def guessed(folder):
     """The press folder with a scale that is wrong by half."""
-    text = (presses / "sensor.toml").read_text().replace("mm_per_px = 0.1268", "mm_per_px = 0.19  # a guess")
+    text = (folder / "sensor.toml").read_text().replace("mm_per_px = 0.1268", "mm_per_px = 0.19  # a guess")
     assert "a guess" in text
-    (presses / "sensor.toml").write_text(text)
-    return presses
+    (folder / "sensor.toml").write_text(text)
+    return folder
 
 
 @pytest.fixture
@@ -122,32 +115,32 @@ def leds(small, tmp_path):
     return paths
 
 
-def test_a_grid_tells_lens_and_scale(run_json, presses, tmp_path):
+def test_a_grid_tells_lens_and_scale(run_json, folder, tmp_path):
     checkerboard(tmp_path / "grid.png", (120, 160), 12)
-    said = run_json("lens", presses, "--image", tmp_path / "grid.png", "--grid", "8x6", "--pitch-mm", "1.2")
+    said = run_json("lens", folder, "--image", tmp_path / "grid.png", "--grid", "8x6", "--pitch-mm", "1.2")
     assert said["mm_per_px"] == pytest.approx(0.1, rel=0.005)
-    settings = read_sensor_toml(presses / "sensor.toml")
+    settings = read_sensor_toml(folder / "sensor.toml")
     assert settings.mm_per_px == pytest.approx(said["mm_per_px"])
     assert settings.view.lens is not None
     assert settings.view.frame_shape == (120, 160)
 
 
 @pytest.mark.slow
-def test_crosstalk_reaches_the_calibration(run, run_json, presses, leds, tmp_path):
-    said = run_json("crosstalk", presses, *leds)
+def test_crosstalk_reaches_the_calibration(run, run_json, folder, leds, tmp_path):
+    said = run_json("crosstalk", folder, *leds)
     assert said["matrix"][1][0] > 0.05
     turned = [tmp_path / led.name for led in leds]
     for led, path in zip(leds, turned):
         cv2.imwrite(str(path), cv2.imread(str(led))[..., ::-1])
-    assert run_json("crosstalk", presses, *turned, "--bgr")["matrix"] == said["matrix"]
-    made = run_json("calibrate", presses, "-o", tmp_path / "cal.npz", "--model", "polynomial")
+    assert run_json("crosstalk", folder, *turned, "--bgr")["matrix"] == said["matrix"]
+    made = run_json("calibrate", folder, "-o", tmp_path / "cal.npz", "--model", "polynomial")
     calibration = load_calibration(tmp_path / "cal.npz")
     np.testing.assert_allclose(calibration.change.crosstalk, said["matrix"], atol=1e-6)
     assert any("gelform removes" in note for note in made["notes"])
 
 
-def test_a_lens_that_cannot_be_is_refused_and_nothing_changes(fails, presses, leds):
-    before = (presses / "sensor.toml").read_bytes()
+def test_a_lens_that_cannot_be_is_refused_and_nothing_changes(fails, folder, leds):
+    before = (folder / "sensor.toml").read_bytes()
     image = ("--image", leds[0])
     for arguments, text, status in (
         ((), "Missing option", 2),
@@ -158,9 +151,9 @@ def test_a_lens_that_cannot_be_is_refused_and_nothing_changes(fails, presses, le
         ((*image, "--grid", "9x6", "--pitch-mm", "1"), "found none", 1),
         ((*image, "--grid", "1x6", "--pitch-mm", "1"), "--grid: Expected kind", 1),
     ):
-        assert text in fails("lens", presses, *arguments, status=status)
-    assert "brightest in red" in fails("crosstalk", presses, leds[1], leds[0], leds[2], status=1)
-    assert (presses / "sensor.toml").read_bytes() == before
+        assert text in fails("lens", folder, *arguments, status=status)
+    assert "brightest in red" in fails("crosstalk", folder, leds[1], leds[0], leds[2], status=1)
+    assert (folder / "sensor.toml").read_bytes() == before
 
 
 DEPTHS_MM, K = (0.15, 0.25, 0.35, 0.5), 0.05
