@@ -94,20 +94,6 @@ def test_python_m_gelform_is_gelform():
     assert usage.stdout.startswith("Usage: gelform ")
 
 
-def test_wrong_usage_is_status_2(fails):
-    for arguments in ("nonsense", "calibrate", "reconstruct --nonsense", "simulate -o x --count 0"):
-        fails(*arguments.split(), status=2)
-
-
-def test_an_option_given_twice_is_refused_where_it_would_drop_a_value(fails, run, press_folder, tmp_path):
-    rest = press_folder / "background.png"
-    twice = ("--background", rest, "--background", rest)
-    said = " ".join(fails("calibrate", press_folder, "-o", tmp_path / "a.npz", *twice, status=2).split())
-    assert "'--background': expected once, got 2 times." in said
-    assert run("info", rest, "--json", "--json")[0] == 0, "a flag drops nothing"
-    assert run("force", "calibrate", "a", "-c", "b", "-c", "d")[0] == 2, "commands of a command too"
-
-
 SOURCE = Path(gelform.__file__).parent
 
 
@@ -120,23 +106,6 @@ def test_numbers_are_read_and_others_refused():
     for text in ("1,2", "1,2,3,4", "1,b,3", "", "1,nan,3"):
         with pytest.raises(typer.BadParameter, match="expected A,B,C, got"):
             numbers(text, "A,B,C", "--x")
-
-
-@pytest.mark.parametrize(
-    ("option", "value", "message"),
-    [
-        ("--mm-per-px", "15.8", "up to 1 mm, got 15.8. If these are pixels per mm, give 1/15.8 = 0.06329."),
-        ("--mm-per-px", "px", "expected a number > 0, got 'px'"),
-        ("--mm-per-px", "1e-6", "at least 0.0001 mm, got 1e-06. Is it in mm?"),
-        ("--ball-diameter-mm", "300", "up to 200 mm, got 300."),
-        ("--ball-diameter-mm", "6,35", "got '6,35'. Write it with a decimal point: 6.35."),
-    ],
-)
-def test_a_number_that_no_sensor_or_ball_has_is_said(fails, press_folder, tmp_path, option, value, message):
-    for command, file in (("calibrate", "-o"), ("evaluate", "-c")):
-        said = fails(command, press_folder, file, tmp_path / "c.npz", option, value, status=2)
-        assert option in said
-        assert message in said
 
 
 def test_the_names_are_those_of_the_tables():

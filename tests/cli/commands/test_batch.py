@@ -99,18 +99,6 @@ def test_a_shard_says_that_others_are_to_come(works, work, images, tmp_path):
     assert "This shard is done" in err
 
 
-def test_wrong_usage(fails, work, images, tmp_path):
-    for wrong, said in (
-        (["--shard", "3/2"], "expected i/N"),
-        (["--shard", "half"], "expected i/N"),
-        (["--format", "exr"], "Expected a format among npz, png"),
-        (["--keep", "all,depth"], "Expected maps to keep"),
-        (["--solver", "fast"], "Expected a solver among auto"),
-    ):
-        line = fails("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out", *wrong, status=2)
-        assert said in " ".join(line.replace("│", " ").split())
-
-
 def test_what_does_not_fit_is_refused_in_one_line(run, fails, work, imported, images, tmp_path):
     command = ("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out")
     two = ("--background", work / "rest.png", "--background-frames", "2")

@@ -53,16 +53,6 @@ def test_a_calibration_and_its_report_whose_circles_can_be_labels(works, folder,
     assert all(press.label is not None for press in read_presses(folder).presses)
 
 
-def test_a_scale_of_no_sensor_is_a_mistake_of_the_input(fails, folder, calibration_file, tmp_path):
-    """Given, or in sensor.toml, ten times too small."""
-    said = fails("calibrate", folder, "-o", tmp_path / "a.npz", "--mm-per-px", "0.00634")
-    assert f"{folder}: Expected a gel between 3 and 150 mm wide, got 160 px of 0.00634 mm: 1.01 mm." in said
-    assert "1.01 mm" in fails("evaluate", folder, "-c", calibration_file, "--mm-per-px", "0.00634")
-    settings = (folder / "sensor.toml").read_text()
-    (folder / "sensor.toml").write_text(re.sub(r"mm_per_px *= *[\d.]+", "mm_per_px = 0.00634", settings))
-    assert "1.01 mm" in fails("calibrate", folder, "-o", tmp_path / "b.npz")
-
-
 def test_tables_are_shown_only_if_asked_for(run, folder, tmp_path):
     (folder / "images" / "0003.png").write_bytes((folder / "background.png").read_bytes())
     how = ("--model", "polynomial", "--overwrite", "-o", tmp_path / "cal.npz")
@@ -91,30 +81,6 @@ def test_the_time_is_that_of_the_whole_command(run, folder, tmp_path, monkeypatc
     how = ("--model", "polynomial", "-o", tmp_path / "cal.npz", "--report", tmp_path / "report")
     _, _, err = run("calibrate", folder, *how)
     assert 1000 <= int(re.search(r" in (\d+) s\.", err)[1]) < 2000
-
-
-def test_what_is_there_stays(fails, folder, tmp_path):
-    (tmp_path / "cal.npz").write_text("mine")
-    assert "already there" in fails("calibrate", folder, "-o", tmp_path / "cal.npz")
-    (tmp_path / "r").mkdir()
-    (tmp_path / "r" / "circles.csv").write_text("mine")
-    new = ("-o", tmp_path / "new.npz", "--report", tmp_path / "r")
-    assert "circles.csv is already there" in fails("calibrate", folder, *new)
-    assert (tmp_path / "cal.npz").read_text() == (tmp_path / "r" / "circles.csv").read_text() == "mine"
-    assert not (tmp_path / "new.npz").exists()
-
-
-def test_missing_parts_are_named(fails, folder, tmp_path):
-    output = tmp_path / "cal.npz"
-    (folder / "sensor.toml").rename(tmp_path / "sensor.toml")
-    assert "--mm-per-px" in fails("calibrate", folder, "-o", output)
-    assert "gelsight-mini, digit" in fails("calibrate", folder, "-o", output, "--sensor", "mini")
-    (folder / "background.png").rename(tmp_path / "rest.png")
-    assert "--background" in fails("calibrate", folder, "-o", output, "--mm-per-px", "0.1268")
-    assert "Expected a folder" in fails("calibrate", tmp_path / "missing", "-o", output)
-    assert not output.exists()
-    assert "polynomial" in fails("calibrate", folder, "-o", output, "--model", "magic", status=2)
-    assert "LEFT,TOP,WIDTH,HEIGHT" in fails("calibrate", folder, "-o", output, "--crop", "1,2,3", status=2)
 
 
 def test_wrong_tables_are_said(fails, folder, tmp_path):
@@ -193,19 +159,6 @@ def test_what_it_is_is_said_when_it_is_made_and_by_info(run, unit, tmp_path):
     assert said["starter"].startswith(f"starter of the make {SIMULATED}")
     assert said["made from"] == "; ".join(load_starter(SIMULATED).units)
     assert spread in said["spread"]
-
-
-def test_another_make_and_other_mistakes_are_said(fails, unit, tmp_path):
-    rest, file = unit / "rest.png", tmp_path / "unit.npz"
-    assert "expected digit, gelsight-mini or" in fails(
-        "starter", "gelslim", "--background", rest, "-o", file, status=2
-    )
-    assert "--background" in fails("starter", SIMULATED, "-o", file, status=2)
-    said = fails("starter", "gelsight-mini", "--background", rest, "-o", file)
-    assert "rest.png" in said
-    assert "GelSight Mini" in said
-    file.write_bytes(b"")
-    assert "already there" in fails("starter", SIMULATED, "--background", rest, "-o", file)
 
 
 @pytest.fixture

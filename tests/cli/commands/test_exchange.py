@@ -93,17 +93,6 @@ def test_the_crop_of_a_frame_is_said(works, network, tmp_path):
     assert gelform.load_calibration(tmp_path / "cal.npz").image_shape == (240, 320)
 
 
-def test_nothing_is_guessed(fails, network, press_folder, tmp_path):
-    rest, out = ("--background", press_folder / "background.png"), ("-o", tmp_path / "cal.npz")
-    assert "--background" in fails("import", network, "--from", "gs_sdk", *out, status=2)
-    assert "gs_sdk, gsrobotics" in fails("import", network, "--from", "x", *rest, *out, status=2)
-    assert "zeros" in fails("import", network, "--from", "gsrobotics", *rest, *out)
-    assert "No file" in fails("import", tmp_path / "nnmodel.pth", "--from", "gs_sdk", *rest, *out)
-    assert not out[1].exists()
-    out[1].write_bytes(b"")
-    assert "already there" in fails("import", network, "--from", "gs_sdk", *rest, *out)
-
-
 @pytest.fixture
 def result_file(calibration_file, press_folder, tmp_path):
     image = gelform.read_image(press_folder / "images" / "0000.png")
@@ -124,13 +113,12 @@ def test_a_calibration_for_a_renderer(run, calibration_file, tmp_path):
     assert written == {"polycalib.npz", "bg.jpg", "real_bg.npy", "settings.txt"}
 
 
-def test_a_result_as_a_surface(run, fails, calibration_file, result_file):
+def test_a_result_as_a_surface(run, fails, result_file):
     assert run("export", result_file, "--to", "tiff")[0] == 0
     assert result_file.with_suffix(".tiff").is_file()
     assert load_result(result_file).mm_per_px
     assert "is there already" in fails("export", result_file, "--to", "tiff")
     assert run("export", result_file, "--to", "tiff", "--overwrite")[0] == 0
-    assert "Expected a result to write for ply" in fails("export", calibration_file, "--to", "ply")
     assert "Expected a calibration to write for taxim" in fails("export", result_file, "--to", "taxim")
 
 

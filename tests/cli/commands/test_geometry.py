@@ -75,26 +75,6 @@ def test_a_scale_that_no_gel_has_is_not_written(works, fails, guessed, imported)
         assert "this one would be 160 px of 0.025 mm: 4 mm" in " ".join(err.split())
 
 
-def test_what_cannot_be_is_refused_and_nothing_changes(fails, guessed, images, calibration_file):
-    before = [path.read_bytes() for path in (guessed / "sensor.toml", calibration_file)]
-    assert "sensor.toml" in fails("scale", calibration_file, "--points", "20,10,100,70,12")
-    for arguments, text, status in (
-        ((), "--points, --stage or both", 2),
-        (("--points", "1,2,3"), "X1,Y1,X2,Y2,MM", 2),
-        (("--stage", "left.png,2"), "A,B,MM", 2),
-        (("--points", "1,1,2,2,5"), "--points: Expected two points at least", 1),
-        (("--points", "20,10,100,70,-12"), "--points: Expected distance_mm > 0", 1),
-        (("--stage", "nothing.png,nor.png,1"), "No file", 1),
-        (
-            ("--points", "20,10,100,70,12", "--stage", f"{images / 'left.png'},{images / 'right.png'},8"),
-            "agree",
-            1,
-        ),
-    ):
-        assert text in fails("scale", guessed, *arguments, status=status)
-    assert [path.read_bytes() for path in (guessed / "sensor.toml", calibration_file)] == before
-
-
 @pytest.fixture
 def guessed(folder):
     """The press folder with a scale that is wrong by half."""
@@ -137,23 +117,6 @@ def test_crosstalk_reaches_the_calibration(run, run_json, folder, leds, tmp_path
     calibration = load_calibration(tmp_path / "cal.npz")
     np.testing.assert_allclose(calibration.change.crosstalk, said["matrix"], atol=1e-6)
     assert any("gelform removes" in note for note in made["notes"])
-
-
-def test_a_lens_that_cannot_be_is_refused_and_nothing_changes(fails, folder, leds):
-    before = (folder / "sensor.toml").read_bytes()
-    image = ("--image", leds[0])
-    for arguments, text, status in (
-        ((), "Missing option", 2),
-        (image, "Missing option", 2),
-        (("--grid", "9x6"), "Missing option", 2),
-        ((*image, "--grid", "nine", "--pitch-mm", "1"), "COLUMNSxROWS", 2),
-        ((*image, "--grid", "9x6", "--pitch-mm", "0"), "expected a number > 0", 2),
-        ((*image, "--grid", "9x6", "--pitch-mm", "1"), "found none", 1),
-        ((*image, "--grid", "1x6", "--pitch-mm", "1"), "--grid: Expected kind", 1),
-    ):
-        assert text in fails("lens", folder, *arguments, status=status)
-    assert "brightest in red" in fails("crosstalk", folder, leds[1], leds[0], leds[2], status=1)
-    assert (folder / "sensor.toml").read_bytes() == before
 
 
 DEPTHS_MM, K = (0.15, 0.25, 0.35, 0.5), 0.05

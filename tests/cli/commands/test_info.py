@@ -68,11 +68,6 @@ def test_kernels_that_cannot_be_loaded_are_said(monkeypatch):
     assert "GELFORM_ISA" in system_facts()["kernels"]
 
 
-@pytest.mark.parametrize("arguments", [["info"], ["info", "--system", "presses"]])
-def test_a_file_or_the_system_is_asked_for(fails, arguments):
-    assert "--system" in fails(*arguments, status=2)
-
-
 def test_all_distributions_that_share_cv2_are_named(monkeypatch):
     there = {"opencv-python": "4.10.0", "opencv-python-headless": "5.0.0"}
     monkeypatch.setattr(info, "_version", there.get)
@@ -214,13 +209,6 @@ def test_folders_of_other_packages(run_json, press_folder, tmp_path):
     assert "No scale" in said["missing"][0]
     shutil.copy(press_folder / "sensor.toml", tmp_path / "d")
     assert run_json("info", tmp_path / "d")["presses"] == 1
-
-
-def test_mistakes_are_one_line(fails, calibration_file, tmp_path):
-    content = calibration_file.read_bytes()
-    (tmp_path / "cut.npz").write_bytes(content[: len(content) // 2])
-    assert "damaged" in fails("info", tmp_path / "cut.npz")
-    assert "No file or folder" in fails("info", tmp_path / "missing")
 
 
 def test_a_recording_says_its_camera_and_whether_it_was_finished(run, run_json, tmp_path):

@@ -11,7 +11,6 @@ from gelform.calibration.evaluate import evaluate
 from gelform.calibration.presses.folder import read_presses
 from gelform.calibration_file import load_calibration
 from gelform.cli.commands import inspection
-from gelform.exchange.plots import save_picture
 
 
 def test_errors_and_what_was_seen(works, run_json, press_folder, calibration_file):
@@ -58,22 +57,6 @@ def test_folders_are_their_images(run_json, fails, press_folder, calibration_fil
     np.save(tmp_path / "stack.npy", np.zeros((2, 120, 160, 3), np.uint8))
     for command in (("compare", *mine, *mine), ("explain", *mine)):
         assert "Its frames: gelform batch" in fails(command[0], tmp_path / "stack.npy", *command[1:])
-
-
-def test_mistakes_are_one_line(fails, press_folder, calibration_file, tmp_path):
-    """Presses of another size, an image of another sensor, no calibration, one in place of two."""
-    gray = np.full((60, 80, 3), 90, dtype=np.uint8)
-    for name in ("background.png", "other.png"):
-        save_picture(tmp_path / name, gray)
-    image, mine, none = images_of(press_folder)[0], ("-c", calibration_file), ("-c", tmp_path / "none.npz")
-    scale = ("--ball-diameter-mm", "6", "--mm-per-px", "0.1")
-    said = fails("evaluate", tmp_path, *mine, *scale)
-    assert "Expected images of 120x160 px (height x width), got 60x80" in said
-    said = fails("explain", tmp_path / "other.png", *mine)
-    assert "other.png, for the calibration of small: Expected image of 120x160 px" in said
-    assert "No file" in fails("evaluate", press_folder, *none)
-    assert "No file" in fails("compare", image, *mine, *none)
-    assert "expected two, got 1" in fails("compare", image, *mine, status=2)
 
 
 def test_heights_of_flat_punches_are_shown(works, press_folder, calibration_file, tmp_path):

@@ -173,38 +173,6 @@ def test_results_stay_unless_overwritten(run, fails, calibration_file, press_fol
     assert load_result(tmp_path / "0000.npz")
 
 
-def test_mistakes_are_one_line(fails, calibration_file, press_folder, tmp_path):
-    image, out = press_folder / "images" / "0000.png", tmp_path / "out"
-    (tmp_path / "text.png").write_text("hello")
-    (tmp_path / "file").touch()
-    (tmp_path / "frame.png").write_bytes(image.read_bytes())
-    noise = np.random.default_rng(0).integers(0, 256, (120, 160, 3), dtype=np.uint8)
-    save_picture(tmp_path / "small.png", noise[:10, :12])
-    save_picture(tmp_path / "other.png", noise)
-    ours = ("-c", calibration_file, "-o", out)
-    for arguments, text in (
-        ((tmp_path / "missing.png", *ours), "No file"),
-        ((tmp_path / "text.png", *ours), "no image that can be read"),
-        (
-            (tmp_path / "small.png", *ours),
-            "small.png, for the calibration of small: Expected image of 120x160 px",
-        ),
-        ((tmp_path / "other.png", *ours), "other.png: The background is not of this image"),
-        ((image, "-c", tmp_path / "missing.npz", "-o", out), "No file"),
-        ((image, "-c", image, "-o", out), "Expected a gelform calibration, got the picture"),
-        ((image, "-c", calibration_file, "-o", tmp_path / "file"), "got the file"),
-        ((image, image, *ours), "given twice"),
-        (
-            (tmp_path / "frame.png", *ours[:2], "-o", tmp_path, "--format", "png", "--overwrite"),
-            "replace an input",
-        ),
-    ):
-        assert text in fails("reconstruct", *arguments)
-    assert not list(out.rglob("*.npz"))
-    for option, value, text in (("--format", "npz,obj", "npz, png"), ("--solver", "x", "auto, dct")):
-        assert text in fails("reconstruct", image, *ours, option, value, status=2)
-
-
 def test_one_bad_image_does_not_stop_the_others(run, run_json, calibration_file, press_folder, tmp_path):
     good = [press_folder / "images" / f"000{k}.png" for k in range(3)]
     (tmp_path / "bad.png").write_text("no image")
