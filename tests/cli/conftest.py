@@ -11,7 +11,8 @@ from gelform.calibration.fit import calibrate
 from gelform.calibration.presses.folder import read_presses
 from gelform.cli import main
 from gelform.exchange.exporters.press_folder import save_simulated_presses
-from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
+from gelform.exchange.plots import save_picture
+from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_ball_presses, simulate_press
 from made.files import web_file
 from made.small_gel import save
 
@@ -34,6 +35,18 @@ def _pressed(path):
         SMALL, ball_diameters_mm=(6, 9), count=10, rng=np.random.default_rng(0), oversample=1
     )
     return save_simulated_presses(path, presses)
+
+
+@pytest.fixture(scope="session")
+def leds(tmp_path_factory):
+    """Images of the gel at rest under the red, green and blue LEDs alone."""
+    folder, rng = tmp_path_factory.mktemp("leds"), np.random.default_rng(4)
+    for k, name in enumerate(("red", "green", "blue")):
+        lit = tuple(led for led in SMALL.leds if int(np.argmax(led.color)) == k)
+        save_picture(
+            folder / f"{name}.png", simulate_background(replace(SMALL, leds=lit, ambient=(0, 0, 0)), rng)
+        )
+    return [folder / f"{name}.png" for name in ("red", "green", "blue")]
 
 
 @pytest.fixture

@@ -2,14 +2,11 @@
 
 import shlex
 import shutil
-from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
 from gelform.exchange.plots import save_picture
-from gelform.simulate import simulate_background
 from made.files import web_file
 
 MISTAKES = {  # by the beginning of a command: its other arguments, and words of the error
@@ -181,7 +178,7 @@ ROWS = [
 
 
 @pytest.fixture(scope="session")
-def place(small, press_folder, calibration_file, tmp_path_factory):
+def place(press_folder, calibration_file, leds, tmp_path_factory):
     """A folder with all that the commands name."""
     folder, rng = tmp_path_factory.mktemp("place"), np.random.default_rng(0)
     for name, gone in (("presses", "truth"), ("no_toml", "sensor.toml"), ("bare", ".*"), ("tiny", "truth")):
@@ -200,10 +197,8 @@ def place(small, press_folder, calibration_file, tmp_path_factory):
     for name in ("gray/background.png", "gray/other.png"):
         save_picture(folder / name, np.full((60, 80, 3), 90, np.uint8))
     save_picture(folder / "noise.png", rng.integers(0, 256, (120, 160, 3), dtype=np.uint8))
-    for k, name in enumerate(("red", "green", "blue")):
-        lit = tuple(led for led in small.leds if int(np.argmax(led.color)) == k)
-        image = simulate_background(replace(small, leds=lit, ambient=(0, 0, 0)), rng)
-        cv2.imwrite(str(folder / f"{name}.png"), image[..., ::-1])
+    for path in leds:
+        shutil.copy(path, folder)
     for name in ("text.png", "text.npy", "full/image.npz", "reported/circles.csv"):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text("hello")

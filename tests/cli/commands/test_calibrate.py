@@ -134,40 +134,28 @@ def unit(tmp_path_factory):
     return folder
 
 
-def test_a_starter_is_a_calibration_that_every_command_takes(run, run_json, unit, tmp_path):
-    file = tmp_path / "unit.npz"
-    said = run_json(
-        "starter", SIMULATED, "--background", unit / "rest.png", "-o", file, "--serial", "S1", "--gel", "g2"
-    )
+def test_a_starter_is_a_calibration_that_every_command_takes(works, run_json, unit, tmp_path):
+    file, starter = tmp_path / "unit.npz", load_starter(SIMULATED)
+    how = ("--background", unit / "rest.png", "-o", file, "--serial", "S1", "--gel", "g2")
+    spread = f"{100 * starter.spread:.0f} %"
+    assert f"may be off by {spread}" in works("starter", SIMULATED, *how)[1]
+    said = run_json("starter", SIMULATED, *how, "--overwrite")
     calibration = load_calibration(file)
     assert (calibration.serial, calibration.gel_id) == ("S1", "g2")
     assert said["digest"] == calibration.digest
-    assert said["settings"]["starter"]["spread"] == load_starter(SIMULATED).spread
+    assert said["settings"]["starter"]["spread"] == starter.spread
+    lines = dict(line.split("  ", 1) for line in works("info", file)[0].splitlines())
+    described = {label.strip(): text.strip() for label, text in lines.items()}
+    assert described["starter"].startswith(f"starter of the make {SIMULATED}")
+    assert described["made from"] == "; ".join(starter.units)
+    assert spread in described["spread"]
     (row,) = run_json("reconstruct", unit / "frame.png", "-c", file, "-o", tmp_path / "out")["results"]
     assert row["peak_mm"] == pytest.approx(0.4, abs=0.08)
     assert "starter" in [finding["name"] for finding in row["findings"]]
 
 
-def test_what_it_is_is_said_when_it_is_made_and_by_info(run, unit, tmp_path):
-    file = tmp_path / "unit.npz"
-    code, _, err = run("starter", SIMULATED, "--background", unit / "rest.png", "-o", file)
-    spread = f"{100 * load_starter(SIMULATED).spread:.0f} %"
-    assert code == 0
-    assert f"may be off by {spread}" in err
-    lines = dict(line.split("  ", 1) for line in run("info", file)[1].splitlines())
-    said = {label.strip(): text.strip() for label, text in lines.items()}
-    assert said["starter"].startswith(f"starter of the make {SIMULATED}")
-    assert said["made from"] == "; ".join(load_starter(SIMULATED).units)
-    assert spread in said["spread"]
-
-
-@pytest.fixture
-def no_library(tmp_path, monkeypatch):
-    monkeypatch.setenv("GELFORM_CALIBRATIONS", str(tmp_path / "none"))
-
-
-@pytest.mark.usefixtures("no_library")
-def test_commands_take_the_starter_of_a_make(run, run_json, unit, tmp_path):
+@pytest.mark.usefixtures("library")
+def test_commands_take_the_starter_of_a_make(works, run_json, unit, tmp_path):
     how = ("--sensor", SIMULATED, "--background", unit / "rest.png")
     (row,) = run_json("reconstruct", unit / "frame.png", *how, "-o", tmp_path / "out")["results"]
     assert row["peak_mm"] == pytest.approx(0.4, abs=0.08)
@@ -177,11 +165,10 @@ def test_commands_take_the_starter_of_a_make(run, run_json, unit, tmp_path):
     assert (done["frames"], done["errors"]) == (1, 0)
     again = run_json("batch", unit, *how, "-o", tmp_path / "depths")  # the same starter: it goes on
     assert (again["frames"], again["frames_before"]) == (0, 1)
-    code, _, err = run("bag", unit, *how, "-o", tmp_path / "bag")
-    assert (code, "Calibration: the starter of a" in err) == (0, True), err
+    assert "Calibration: the starter of a" in works("bag", unit, *how, "-o", tmp_path / "bag")[1]
 
 
-@pytest.mark.usefixtures("no_library")
+@pytest.mark.usefixtures("library")
 @pytest.mark.parametrize("command", ["reconstruct", "explain", "batch", "bag"])
 def test_what_a_starter_needs_is_said_before_any_work(fails, unit, tmp_path, command):
     image, rest, out = unit / "frame.png", unit / "rest.png", ("-o", tmp_path / "out")
@@ -197,17 +184,12 @@ def test_what_a_starter_needs_is_said_before_any_work(fails, unit, tmp_path, com
     assert not (tmp_path / "out").exists()
 
 
-def test_the_library_comes_before_the_starter(run, unit, tmp_path, monkeypatch):
-    from gelform.calibration.library import add_calibration
-
-    monkeypatch.setenv("GELFORM_CALIBRATIONS", str(tmp_path / "library"))
-    rest = unit / "rest.png"
-    how = (SIMULATED, "--background", rest)
-    run("starter", *how, "-o", tmp_path / "mine.npz", "--serial", "S9", "--gel", "mine")
-    add_calibration(load_calibration(tmp_path / "mine.npz"))
-    folder = tmp_path / "frames"
-    folder.mkdir()
-    (folder / "frame.png").write_bytes((unit / "frame.png").read_bytes())
-    (folder / "sensor.toml").write_text(f'name = "{SIMULATED}"\nmm_per_px = 0.0634\nserial = "S9"\n')
-    code, _, err = run("reconstruct", folder / "frame.png", "--sensor", *how, "-o", tmp_path / "out")
-    assert (code, "gel mine" in err) == (0, True), err
+@pytest.mark.usefixtures("library")
+def test_the_library_comes_before_the_starter(works, unit, tmp_path):
+    how = (SIMULATED, "--background", unit / "rest.png")
+    works("starter", *how, "-o", tmp_path / "mine.npz", "--serial", "S9", "--gel", "mine")
+    works("calibrations", "add", tmp_path / "mine.npz")
+    (tmp_path / "frame.png").write_bytes((unit / "frame.png").read_bytes())
+    (tmp_path / "sensor.toml").write_text(f'name = "{SIMULATED}"\nmm_per_px = 0.0634\nserial = "S9"\n')
+    given = ("reconstruct", tmp_path / "frame.png", "--sensor", *how, "-o", tmp_path / "out")
+    assert "gel mine" in works(*given)[1]

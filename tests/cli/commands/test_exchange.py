@@ -7,7 +7,6 @@ import io
 import json
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
@@ -21,12 +20,15 @@ from gelform.result import load_result, save_result
 from made.small_gel import Touch, calibration, image_of, save
 
 
-def images_of(press_folder):
-    return sorted((press_folder / "images").iterdir())[:2]
+@pytest.fixture
+def importing(network, press_folder):
+    """The beginning of a command that imports a network."""
+    how = ("--from", "gsrobotics-web", "--position", "zeros", "--background", press_folder / "background.png")
+    return ("import", network, *how)
 
 
 def test_what_was_imported_reconstructs_in_pixels(works, run_json, imported, press_folder, tmp_path):
-    image = images_of(press_folder)[0]
+    image = press_folder / "images" / "0000.png"
     how = ("-c", imported, "-o", tmp_path / "out", "--format", "npz,png")
     (row,) = run_json("reconstruct", image, *how)["results"]
     assert row["peak_px"] > 0
@@ -42,26 +44,20 @@ def test_what_was_imported_reconstructs_in_pixels(works, run_json, imported, pre
     assert "depth_px, not depth_mm" in err
 
 
-def test_with_a_scale_in_mm(run_json, network, press_folder, tmp_path):
-    said = run_json(
-        "import", network, "--from", "gsrobotics-web", "--position", "zeros",
-        "--background", press_folder / "background.png", "--mm-per-px", "0.1", "--name", "mine",
-        "-o", tmp_path / "new" / "cal.npz",
-    )  # fmt: skip
+def test_with_a_scale_in_mm(run_json, importing, tmp_path):
+    said = run_json(*importing, "--mm-per-px", "0.1", "--name", "mine", "-o", tmp_path / "new" / "cal.npz")
     assert (said["mm_per_px"], said["sensor_name"], said["color_model"]) == (0.1, "mine", "network")
     assert gelform.load_calibration(tmp_path / "new" / "cal.npz").digest == said["digest"]
 
 
-def test_an_unusual_width_of_the_gel_is_noted(works, fails, network, press_folder, tmp_path):
-    how = ("--from", "gsrobotics-web", "--position", "zeros", "--background", press_folder / "background.png")
-    err = works("import", network, *how, "--mm-per-px", "0.025", "-o", tmp_path / "cal.npz")[1]
-    assert "this one would be 160 px of 0.025 mm: 4 mm" in " ".join(err.split())
-    assert "160 px of 0.01 mm: 1.6 mm" in fails(
-        "import", network, *how, "--mm-per-px", "0.01", "-o", tmp_path / "b.npz"
-    )
+def test_an_unusual_width_of_the_gel_is_noted(works, fails, importing, tmp_path):
+    err = works(*importing, "--mm-per-px", "0.025", "-o", tmp_path / "cal.npz")[1]
+    assert "this one would be 160 px of 0.025 mm: 4 mm" in err
+    said = fails(*importing, "--mm-per-px", "0.01", "-o", tmp_path / "b.npz")
+    assert "160 px of 0.01 mm: 1.6 mm" in said
 
 
-def test_the_assumed_range_of_a_table_is_said_and_another_one_is_read(run, press_folder, tmp_path):
+def test_the_assumed_range_of_a_table_is_said_and_another_one_is_read(works, press_folder, tmp_path):
     """A table over +-256 that is read as one over +-90 reads slopes 2.8 times too large."""
     at = (np.arange(64) + 0.5) * 8 - 256
     _, _, red = np.meshgrid(at, at, at, indexing="ij")
@@ -69,11 +65,9 @@ def test_the_assumed_range_of_a_table_is_said_and_another_one_is_read(run, press
     rest = press_folder / "background.png"
     how = ("import", tmp_path / "table.npy", "--from", "lut", "--background", rest, "--mm-per-px", "0.1268")
     assumed, given = tmp_path / "assumed.npz", tmp_path / "given.npz"
-    code, _, err = run(*how, "-o", assumed)
-    assert (code, "so -90 to 90 gray levels are assumed" in " ".join(err.split())) == (0, True)
-    code, _, err = run(*how, "-o", given, "--range", "-256", "256")
-    assert (code, "levels are assumed" in " ".join(err.split())) == (0, False)
-    image = gelform.read_image(images_of(press_folder)[0])
+    assert "so -90 to 90 gray levels are assumed" in works(*how, "-o", assumed)[1]
+    assert "levels are assumed" not in works(*how, "-o", given, "--range", "-256", "256")[1]
+    image = gelform.read_image(press_folder / "images" / "0000.png")
     wrong, right = (
         gelform.Reconstructor(gelform.load_calibration(path)).from_image(image) for path in (assumed, given)
     )
@@ -82,14 +76,12 @@ def test_the_assumed_range_of_a_table_is_said_and_another_one_is_read(run, press
     assert ratio == pytest.approx(256 / 90, rel=0.02)
 
 
-def test_the_crop_of_a_frame_is_said(works, network, tmp_path):
+def test_the_crop_of_a_frame_is_said(works, importing, tmp_path):
     y, x = np.mgrid[:480, :640]
-    cv2.imwrite(
-        str(tmp_path / "rest.png"), np.stack([x / 6 + 60, y / 6 + 60, 200 - x / 6], -1).astype(np.uint8)
-    )
-    how = ("--from", "gsrobotics-web", "--position", "zeros", "--background", tmp_path / "rest.png")
-    err = works("import", network, *how, "--mm-per-px", "0.0634", "-o", tmp_path / "cal.npz")[1]
-    assert "Frames of 480x640 px are cropped and resized as gsrobotics-web does" in " ".join(err.split())
+    save(tmp_path / "rest.png", np.stack([200 - x / 6, y / 6 + 60, x / 6 + 60], -1).astype(np.uint8))
+    how = ("--mm-per-px", "0.0634", "-o", tmp_path / "cal.npz")
+    err = works(*importing[:-1], tmp_path / "rest.png", *how)[1]
+    assert "Frames of 480x640 px are cropped and resized as gsrobotics-web does" in err
     assert gelform.load_calibration(tmp_path / "cal.npz").image_shape == (240, 320)
 
 
@@ -122,13 +114,8 @@ def test_a_result_as_a_surface(run, fails, result_file):
     assert "Expected a calibration to write for taxim" in fails("export", result_file, "--to", "taxim")
 
 
-OLD = replace(
-    calibration(),
-    serial="S1",
-    gel_id="1",
-    created_utc="2026-01-02T03:04:05+00:00",
-    held_out={"normal_free_deg": 1.25},
-)
+MADE = {"created_utc": "2026-01-02T03:04:05+00:00", "held_out": {"normal_free_deg": 1.25}}
+OLD = replace(calibration(), serial="S1", gel_id="1", **MADE)
 NEW = replace(OLD, gel_id="2", created_utc="2026-11-12T13:14:15+00:00")
 
 
