@@ -11,9 +11,8 @@ from gelform import simulate
 from gelform.cli import options
 from gelform.cli.console import ShownOption, check_pictures, json_bytes
 from gelform.cli.files import content_of, write_report
-from gelform.foundations.findings import Progress
 
-LAYOUT, PRESSES, BALLS_MM, SEED = "three-edges", 24, (6.0, 9.0), 7
+LAYOUT, PRESSES, SEED = "three-edges", 24, 7
 COLUMNS = {  # of the table: heading and format of each error
     "true_peak_mm": ("true peak (mm)", "{:.3f}"),
     "peak_mm": ("peak (mm)", "{:.3f}"),
@@ -43,15 +42,28 @@ def demo(
       gelform demo
       gelform demo -o somewhere --json
     """
+    import numpy as np
+
     from gelform.exchange.exporters.press_folder import written_whole
 
     check_pictures()
     started = time.monotonic()
     with written_whole(output) as folder, shown.progress() as progress:
-        sensor = _simulated(folder / "presses", progress)
-        calibration = _calibrated(folder, progress)
+        simulated = simulate.simulate_ball_presses(
+            simulate.LAYOUTS[LAYOUT],
+            ball_diameters_mm=(6.0, 9.0),
+            count=PRESSES,
+            rng=np.random.default_rng(SEED),
+            progress=progress,
+        )
+        gelform.save_simulated_presses(folder / "presses", simulated)
+        presses = gelform.read_presses(folder / "presses", progress=progress)
+        calibration = gelform.calibrate(presses, progress=progress)
+        calibration.save(folder / "calibration.npz")
+        content = content_of(presses, calibration, progress, with_learning=False)
+        write_report(content, presses, calibration, folder / "report", overwrite=False)
         errors = {}
-        for done, (name, press) in enumerate(_objects(sensor)):
+        for done, (name, press) in enumerate(_objects(simulated.sensor)):
             progress(done, 4, "reconstructing objects")
             errors[name] = _compared(folder, name, press, calibration)
             progress(done + 1, 4, "reconstructing objects")
@@ -65,29 +77,6 @@ def demo(
     shown.table("Errors against the true surfaces", ("object", *headings), rows)
     if not shown.as_json:
         shown.say(f"Wrote {output} in {time.monotonic() - started:.0f} s. Look at {output / 'coin.png'}.")
-
-
-def _simulated(folder: Path, progress: Progress) -> simulate.SimulatedSensor:
-    import numpy as np
-
-    presses = simulate.simulate_ball_presses(
-        simulate.LAYOUTS[LAYOUT],
-        ball_diameters_mm=BALLS_MM,
-        count=PRESSES,
-        rng=np.random.default_rng(SEED),
-        progress=progress,
-    )
-    gelform.save_simulated_presses(folder, presses)
-    return presses.sensor
-
-
-def _calibrated(folder: Path, progress: Progress) -> gelform.Calibration:
-    presses = gelform.read_presses(folder / "presses", progress=progress)
-    calibration = gelform.calibrate(presses, progress=progress)
-    calibration.save(folder / "calibration.npz")
-    content = content_of(presses, calibration, progress, with_learning=False)
-    write_report(content, presses, calibration, folder / "report", False)
-    return calibration
 
 
 def _objects(sensor: simulate.SimulatedSensor) -> list[tuple[str, simulate.SimulatedPress]]:

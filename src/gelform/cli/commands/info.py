@@ -21,13 +21,6 @@ from gelform.cli.console import print_json, show
 from gelform.cli.options import Json
 from gelform.cli.process import in_options
 
-OPENCV = (
-    "opencv-python",
-    "opencv-contrib-python",
-    "opencv-python-headless",
-    "opencv-contrib-python-headless",
-)
-
 
 def system_facts() -> dict[str, Any]:
     """Versions, processor, instruction set, extras and cameras of this machine."""
@@ -76,7 +69,9 @@ def _requirements() -> tuple[list[str], dict[str, list[str]]]:
 
 def _opencv() -> str:
     """Every installed distribution of OpenCV: all of them write the one folder cv2, and the last one installed wins."""
-    found = [f"{name} {known}" for name in OPENCV if (known := _version(name)) is not None]
+    kinds = ("opencv-python", "opencv-contrib-python")
+    names = (*kinds, *(f"{kind}-headless" for kind in kinds))
+    found = [f"{name} {known}" for name in names if (known := _version(name)) is not None]
     if len(found) < 2:
         return ", ".join(found) or "none that pip knows"
     return f"{', '.join(found)}: they overwrite each other's cv2, so cv2.imshow may be missing (docs/installing.md)"
