@@ -12,17 +12,14 @@ from typer.core import TyperCommand
 import gelform
 from gelform.cli.commands import calibrations, force
 from gelform.cli.commands.batch import batch, verify
-from gelform.cli.commands.calibrate import calibrate, starter
-from gelform.cli.commands.demo import demo
+from gelform.cli.commands.calibrate import calibrate, crosstalk, lens, scale, starter
 from gelform.cli.commands.exchange import export, import_
-from gelform.cli.commands.geometry import crosstalk, lens, scale
 from gelform.cli.commands.info import info
 from gelform.cli.commands.inspection import compare, evaluate, explain
-from gelform.cli.commands.live import live
 from gelform.cli.commands.reconstruct import reconstruct
 from gelform.cli.commands.robots import bag, ros, track
-from gelform.cli.commands.simulate import design, simulate
-from gelform.cli.commands.sources import cameras, record
+from gelform.cli.commands.simulate import demo, design, simulate
+from gelform.cli.commands.sources import cameras, live, record
 from gelform.cli.options import flat
 from gelform.cli.process import DEBUG, ReportedFailures, as_process
 

@@ -1,4 +1,4 @@
-"""gelform simulate and gelform design: their outputs and refusals."""
+"""gelform simulate and gelform design: their outputs; gelform demo, with a smaller sensor and fewer presses."""
 
 import csv
 import json
@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from gelform.calibration.presses.folder import read_presses
+from gelform.cli.commands import simulate as commands
 from gelform.exchange.plots import save_picture
+from gelform.result import load_result
 from gelform.sensors.files import read_image
 from gelform.simulate import LAYOUTS
 
@@ -151,3 +153,18 @@ def test_the_designs_are_compared(run_json, tmp_path, monkeypatch):
     assert [row["design"] for row in said["designs"]] == ["as given"]
     assert 0 < said["designs"][0]["depth_rmse_um"] < 500
     assert (tmp_path / "study.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_the_whole_path_and_its_errors(run_json, fails, monkeypatch, tmp_path):
+    pytest.importorskip("matplotlib", reason="pictures need the extra 'plots'")
+    monkeypatch.setattr(commands, "LAYOUT", "small")
+    monkeypatch.setattr(commands, "PRESSES", 8)
+    said = run_json("demo", "-o", tmp_path / "d")
+    names = {path.relative_to(tmp_path / "d").as_posix() for path in (tmp_path / "d").rglob("*.*")}
+    assert {"ball.png", "coin.png", "screw.png", "border.png", "report/report.html"} <= names
+    assert json.loads((tmp_path / "d" / "errors.json").read_text()) == said["errors"]
+    assert abs(said["errors"]["ball"]["peak_ratio"] - 1) < 0.15
+    assert said["errors"]["ball"]["rmse_um"] < 40
+    assert load_result(tmp_path / "d" / "border.npz").contact.any()
+    assert "holds something" in fails("demo", "-o", tmp_path / "d")

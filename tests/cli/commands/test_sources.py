@@ -1,4 +1,7 @@
-"""gelform cameras and gelform record: connected cameras, frames into files, presses taken with the space bar."""
+"""gelform cameras and gelform record: connected cameras, frames into files, presses taken with the space bar.
+
+gelform live: the address is printed; tests/live tests the page.
+"""
 
 import json
 import os
@@ -7,6 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
+import urllib.request
 from dataclasses import replace
 
 import cv2
@@ -240,3 +244,19 @@ def test_why_frames_are_missing_is_said_and_is_a_warning_over_5_percent():
     few = sources.why_missing(RecordStats(99, 1, 1, 3.0), GrabberStats(drops=7))
     assert few.startswith("1 of 100 frames (1 %) are missing: 1 lost before gelform")
     assert "too slow" not in few
+
+
+@pytest.mark.slow
+def test_it_prints_an_address_that_answers_and_ends_on_interrupt():
+    command = [sys.executable, "-m", "gelform", "live"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        try:
+            url = running.stdout.readline().strip()
+            assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", url)
+            with urllib.request.urlopen(url, timeout=20) as answer:
+                assert b"<title>gelform live</title>" in answer.read()
+        finally:
+            os.kill(running.pid, signal.SIGINT)
+        _, said = running.communicate(timeout=20)
+    assert "Traceback" not in said
+    assert running.returncode in (0, 130)
