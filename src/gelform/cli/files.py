@@ -49,7 +49,7 @@ def result_paths(inputs: Sequence[Path], folder: Path, formats: Sequence[str]) -
     return [{one: folder / f"{name}.{one}" for one in formats} for name in names]
 
 
-def check_results(results: Sequence[Path], *, overwrite: bool, protected: Sequence[Path]) -> None:
+def check_results(results: Sequence[Path], *, overwrite: bool, protected: Sequence[Path] = ()) -> None:
     """Refuse results that exist (unless `overwrite`), and any that would replace an input.
 
     Temporary files of killed runs are deleted there.
@@ -63,7 +63,7 @@ def check_results(results: Sequence[Path], *, overwrite: bool, protected: Sequen
     there = [path for path in results if os.path.lexists(path)]
     if there and not overwrite:
         more = f" and {len(there) - 1} more" if len(there) > 1 else ""
-        raise DataError(f"{there[0]} is already there{more}. Choose another folder, or allow --overwrite.")
+        raise DataError(f"{there[0]} is already there{more}. Choose another place, or allow --overwrite.")
     for folder in {path.parent for path in results if path.parent.is_dir()}:
         sweep(folder)
 
@@ -94,14 +94,10 @@ def check_output(path: Path, *, overwrite: bool) -> None:
     Temporary files of killed runs in that folder are deleted. DataError: the name is a folder's, the file exists (unless
     `overwrite`), or nothing can be written there.
     """
-    from gelform.foundations.files import sweep
-
     if path.is_dir():
         raise DataError(f"Expected a file name, got the folder {path}. Add a name: {path / 'name'}.")
-    if os.path.lexists(path) and not overwrite:
-        raise DataError(f"{path} is already there. Choose another name, or allow --overwrite.")
+    check_results([path], overwrite=overwrite)
     _check_room(make_folder(path.parent))
-    sweep(path.parent)
 
 
 def make_folder(folder: Path) -> Path:

@@ -86,7 +86,7 @@ def calibrate(
     check_output(output, overwrite=overwrite)
     if report is not None:
         check_output(report / REPORT_FILES[0], overwrite=True)
-        check_results([report / name for name in REPORT_FILES], overwrite=overwrite, protected=())
+        check_results([report / name for name in REPORT_FILES], overwrite=overwrite)
     with only_writer(output), shown.progress() as progress:
         found = gelform.read_presses(presses, **vars(given), crop=box, progress=progress)  # type: ignore[arg-type]
         given_start = None if start == "none" else start

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, BadParameter, Option
@@ -20,6 +20,9 @@ from gelform.cli.files import Inputs, check_results, make_folder, named, result_
 from gelform.cli.process import MISTAKE, one_line, status_of
 from gelform.errors import GelformError, reason
 from gelform.foundations.findings import FrameTally
+
+if TYPE_CHECKING:
+    from gelform.arrays import Image
 
 FORMATS = (
     "npz",
@@ -124,7 +127,6 @@ def reconstruct(
     if "png" in wanted:
         check_pictures()
     from gelform.depth.solvers import SOLVERS
-    from gelform.exchange.plots import save_picture
 
     options.one_of(solver, ("auto", *SOLVERS), "--solver")
     used = given.calibration_of(images, shown.quiet)
@@ -140,12 +142,7 @@ def reconstruct(
             except (GelformError, MemoryError) as problem:
                 failed.append({"image": str(path), "error": one_line(reason(problem))})
             else:
-                for form, new_file in results.items():
-                    make_folder(new_file.parent)
-                    if form == "png":
-                        save_picture(new_file, gelform.picture(result, image), overwrite=overwrite)
-                    else:
-                        save_by_name(result, new_file, overwrite=overwrite)
+                _write(result, image, results, overwrite)
                 rows.append(_row(result, path, results))
                 tally.add((one.name for one in result.health), known=bool(result.known.any()))
                 if sheet and (len(rows) - 1) % -(-len(todo) // TILES) == 0:
@@ -176,6 +173,17 @@ def reconstruct(
 def _open(picture: Path, shown: ShownOption) -> None:
     shown.say(f"Look at {picture}.")
     webbrowser.open(picture.resolve().as_uri())
+
+
+def _write(result: gelform.Reconstruction, image: Image, results: dict[str, Path], overwrite: bool) -> None:
+    from gelform.exchange.plots import save_picture
+
+    for form, path in results.items():
+        make_folder(path.parent)
+        if form == "png":
+            save_picture(path, gelform.picture(result, image), overwrite=overwrite)
+        else:
+            save_by_name(result, path, overwrite=overwrite)
 
 
 def _row(result: gelform.Reconstruction, path: Path, results: dict[str, Path]) -> dict[str, Any]:
