@@ -140,8 +140,7 @@ StarterSensor = Annotated[
     ),
 ]
 Sensor = Annotated[
-    str | None,
-    Option(metavar="PROFILE", help=f"Make of the sensor, for crop and scale: {listed(tuple(PROFILES))}."),
+    str | None, Option(metavar="PROFILE", help=f"Make, for crop and scale: {listed(tuple(PROFILES))}.")
 ]
 MmPerPx = Annotated[float | None, number("Width of an image pixel on the gel, mm.", pitch)]
 Background = Annotated[
@@ -163,15 +162,11 @@ class PressOptions:
     sensor: Sensor = None
     mm_per_px: MmPerPx = None
     ball_diameter_mm: Annotated[
-        float | None,
-        number("Ball's diameter, mm, for a video or a folder without presses.csv.", ball_diameter),
+        float | None, number("Ball's diameter, mm, for a video or folder without presses.csv.", ball_diameter)
     ] = None
     background: Background = None
     bgr: Annotated[
-        bool,
-        Option(
-            "--bgr", help="All images, the background too, are blue, green, red, as OpenCV writes an array."
-        ),
+        bool, Option("--bgr", help="All images, also the background, are blue, green, red, as in OpenCV.")
     ] = False
 
 

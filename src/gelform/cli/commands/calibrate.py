@@ -87,6 +87,8 @@ def calibrate(
     if report is not None:
         check_output(report / REPORT_FILES[0], overwrite=True)
         check_results([report / name for name in REPORT_FILES], overwrite=overwrite)
+    from gelform.calibration.report.record import used_in_words
+
     with only_writer(output), shown.progress() as progress:
         found = gelform.read_presses(presses, **vars(given), crop=box, progress=progress)  # type: ignore[arg-type]
         given_start = None if start == "none" else start
@@ -106,25 +108,18 @@ def calibrate(
     shown.say(f"{verdict['headline']}.")
     marks = " (--report DIR shows these places.)" if report is None and "1, 2, 3" in verdict["next"] else ""
     shown.say(f"Next: {verdict['next']}{marks}")
-    shown.say(_figures(calibration, verbose))
+    made = calibration.report
+    in_contact, off_contact = (figure(made.held_out.get(name)) for name in ("cap_free_um", "off_contact_um"))
+    more = "" if verbose else " (all tables: --verbose)"
+    shown.say(
+        f"{calibration.sensor_name}: {used_in_words(made.presses)}; depth on held-out presses is off by {in_contact} um in "
+        f"the contact, {off_contact} um off it{more}."
+    )
     wrote = f"{output}{f' and {report / REPORT_FILES[0]}' if report else ''}"
     shown.say(f"Wrote {wrote} in {time.monotonic() - began:.0f} s.")
     serial = "" if calibration.serial else " --serial SERIAL"
     shown.say(f"To let commands find it without -c: gelform calibrations add {output}{serial}")
-    shown.json({"calibration": str(output), **calibration.report.to_dict(), "verdict": verdict})
-
-
-def _figures(calibration: gelform.Calibration, verbose: bool) -> str:
-    """Three figures in a line: presses, and the depth errors on held-out ones; the verdict has the angle."""
-    from gelform.calibration.report.record import used_in_words
-
-    presses, held_out = calibration.report.presses, calibration.report.held_out
-    in_contact, off_contact = (figure(held_out.get(name)) for name in ("cap_free_um", "off_contact_um"))
-    more = "" if verbose else " (all tables: --verbose)"
-    return (
-        f"{calibration.sensor_name}: {used_in_words(presses)}; depth on held-out presses is off by {in_contact} um in the "
-        f"contact, {off_contact} um off it{more}."
-    )
+    shown.json({"calibration": str(output), **made.to_dict(), "verdict": verdict})
 
 
 def _show(calibration: gelform.Calibration, shown: ShownOption) -> None:

@@ -47,10 +47,7 @@ def reconstruct(
     output: options.ResultFolder,
     solver: options.Solver = "auto",
     formats: Annotated[
-        str,
-        Option(
-            "--format", help="What to write: npz, png (a picture), ply, stl, tiff, x3p; several: npz,png."
-        ),
+        str, Option("--format", help="npz, png (a picture), ply, stl, tiff, x3p; several: npz,png.")
     ] = "npz",
     dataset: options.Dataset = "",
     skip_existing: Annotated[

@@ -138,12 +138,11 @@ def track(
     given: Inputs,
     output: Annotated[Path, options.output("CSV", "Table of the poses.")],
     surface: Annotated[
-        Path | None,
-        Option(metavar="FILE", help="Also one surface of all keyframes: .npz, .ply, .stl, .tiff or .x3p."),
+        Path | None, Option(metavar="FILE", help="A surface of all keyframes: .npz, .ply, .stl, .tiff, .x3p.")
     ] = None,
     prior: Annotated[
         str | None,
-        Option(metavar=PRIOR, help="Motion from a frame to the next, standard deviations in mm and degrees."),
+        Option(metavar=PRIOR, help="Motion between frames: standard deviations in mm and degrees."),
     ] = None,
     overwrite: options.Overwrite = False,
     shown: ShownOption,

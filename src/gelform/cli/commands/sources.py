@@ -394,8 +394,7 @@ def live(
         float, Option(metavar="HZ", parser=options.positive, help="Frame rate of the simulated sensor.")
     ] = 60.0,
     sink: Annotated[
-        list[str] | None,
-        Option(metavar="NAME", help="Also show the results in rerun or foxglove; may be repeated."),
+        list[str] | None, Option(metavar="NAME", help="Results also in rerun or foxglove; may be repeated.")
     ] = None,
     browser: Annotated[bool, Option("--open", help="Open the page in the browser.")] = False,
     quiet: options.Quiet = False,
