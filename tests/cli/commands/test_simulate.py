@@ -34,17 +34,6 @@ def test_presses_with_their_truth(run_json, tmp_path):
         assert path.read_bytes() == (tmp_path / "b" / path.relative_to(tmp_path / "a")).read_bytes()
 
 
-ROOF_MM = -0.3 * np.abs(np.mgrid[-2:2:41j, -2:2:41j][1])
-
-
-@pytest.fixture
-def roof(tmp_path):
-    """Options that press a roof in, 0.4 mm deep."""
-    np.save(tmp_path / "roof.npy", ROOF_MM)
-    pitch = ("--height-map-mm-per-px", "0.1", "--depth-mm", "0.4")
-    return ("-o", tmp_path / "out", "--height-map", tmp_path / "roof.npy", *pitch)
-
-
 def test_loads_are_those_of_the_true_volumes_and_calibrate_forces(works, tmp_path, calibration_file):
     out = tmp_path / "loads"
     works("simulate", "-o", out, "--sensor", "small", "--count", "8", "--loads", "--seed", "3")
@@ -60,7 +49,7 @@ def test_loads_are_those_of_the_true_volumes_and_calibrate_forces(works, tmp_pat
     works("force", "calibrate", out, "-c", calibration_file, "-o", tmp_path / "force.npz")
 
 
-def test_a_press_that_moves_is_tracked(works, run_json, fails, tmp_path, calibration_file):
+def test_a_press_that_moves_is_tracked(works, run_json, tmp_path, calibration_file):
     out, table = tmp_path / "out", tmp_path / "track.csv"
     arguments = ("simulate", "--sensor", "small", "--count", "1", "--depth-mm", "0.4")
     assert run_json(*arguments, "--as", "video", "-o", out)["as"] == ["video"]
@@ -79,8 +68,7 @@ def test_all_truth_of_a_height_map_is_written(works, tmp_path):
     block[20:40, 20:40] = 0.5
     np.save(tmp_path / "block.npy", block)
     face = ("--height-map", tmp_path / "block.npy", "--height-map-mm-per-px", "0.1", "--depth-mm", "0.3")
-    arguments = ("simulate", "-o", tmp_path / "out", "--sensor", "small", *face)
-    works(*arguments, "--seed", "7")
+    works("simulate", "-o", tmp_path / "out", "--sensor", "small", *face, "--seed", "7")
     with np.load(tmp_path / "out" / "truth.npz") as truth:
         assert truth["contact"].sum() * 0.1268**2 == pytest.approx(4, rel=0.25)
         assert {"depth_mm", "gradients", "albedo", "shadowed", "saturated", "markers_px"} <= set(truth.files)
@@ -95,8 +83,8 @@ def test_all_truth_of_a_height_map_is_written(works, tmp_path):
 
 def test_a_sensor_of_ones_own(run_json, tmp_path):
     (tmp_path / "mine.toml").write_text('base = "digit"\nshape = [40, 30]\nmm_per_px = 0.4\n')
-    arguments = ("simulate", "--sensor", tmp_path / "mine.toml", "--count", "2")
-    assert run_json(*arguments, "-o", tmp_path / "one")["sensor"] == "digit"
+    how = ("--sensor", tmp_path / "mine.toml", "--count", "2", "-o", tmp_path / "one")
+    assert run_json("simulate", *how)["sensor"] == "digit"
     assert read_presses(tmp_path / "one").image_shape == (40, 30)
 
 
@@ -115,15 +103,17 @@ def test_presses_like_a_calibration(run_json, calibration_file, tmp_path):
     assert np.any(flat[0] != flat[1])
 
 
-def test_a_height_map_like_a_calibration(works, calibration_file, roof, tmp_path):
-    works("simulate", *roof, "--like", calibration_file)
+def test_a_height_map_like_a_calibration(works, calibration_file, tmp_path):
+    np.save(tmp_path / "roof.npy", -0.3 * np.abs(np.mgrid[-2:2:41j, -2:2:41j][1]))
+    face = ("--height-map", tmp_path / "roof.npy", "--height-map-mm-per-px", "0.1", "--depth-mm", "0.4")
+    works("simulate", "-o", tmp_path / "out", *face, "--like", calibration_file)
     image, rest = (read_image(tmp_path / "out" / f"{n}.png").astype(float) for n in ("image", "background"))
     with np.load(tmp_path / "out" / "truth.npz") as truth:
         pressed = truth["depth_mm"] > 0.2
     assert np.abs(image - rest)[pressed].mean() > 5 * np.abs(image - rest)[:8].mean()
 
 
-def test_presses_like_taxims_tables(run_json, fails, tmp_path):
+def test_presses_like_taxims_tables(run_json, tmp_path):
     table = np.zeros((90, 90, 6))
     table[..., 5] = np.arange(90)[:, None]
     np.savez(tmp_path / "polycalib.npz", bins=90, grad_r=table, grad_g=table, grad_b=table)
@@ -139,16 +129,13 @@ def test_presses_like_taxims_tables(run_json, fails, tmp_path):
     assert np.all(read_presses(tmp_path / "own").background == 90)
 
 
-SMALL = 'base = "ring-120"\nshape = [120, 160]\nmm_per_px = 0.1268\n'
-
-
 @pytest.mark.slow
 def test_the_designs_are_compared(run_json, tmp_path, monkeypatch):
     from gelform.calibration import design
 
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(design.compare_designs, "__defaults__", (design.VARIATIONS[:1],))
-    (tmp_path / "mine.toml").write_text(SMALL)
+    (tmp_path / "mine.toml").write_text('base = "ring-120"\nshape = [120, 160]\nmm_per_px = 0.1268\n')
     said = run_json("design", tmp_path / "mine.toml", "--presses", "8", "-o", tmp_path / "study.png")
     assert [row["design"] for row in said["designs"]] == ["as given"]
     assert 0 < said["designs"][0]["depth_rmse_um"] < 500

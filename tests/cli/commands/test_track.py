@@ -1,6 +1,7 @@
 """gelform track: the table of poses, one surface of the keyframes, and mistakes in one line."""
 
 import csv
+import json
 import shutil
 
 import cv2
@@ -33,8 +34,12 @@ def _slid(folder, sensor):
 
 def test_a_slide_becomes_a_table_and_a_surface(works, slide, calibration_file, tmp_path):
     table, surface = tmp_path / "out" / "track.csv", tmp_path / "bar.npz"
-    err = works("track", slide, "-c", calibration_file, "-o", table, "--surface", surface)[1]
+    how = ("-c", calibration_file, "-o", table, "--surface", surface, "--prior", "0.5,2", "--json")
+    out, err = works("track", slide, *how)
     assert f"Wrote {table}: " in err
+    said = json.loads(out)
+    assert (said["frames"], said["states"]) == (7, {"lost": 1, "found": 6})
+    assert said["lost_by_reason"] == {"no contact": 1}
     with table.open() as file:
         rows = list(csv.DictReader(file))
     assert [row["state"] for row in rows] == ["lost", *["found"] * 6]
@@ -43,14 +48,7 @@ def test_a_slide_becomes_a_table_and_a_surface(works, slide, calibration_file, t
     found = np.array([float(row["x_mm"]) for row in rows[1:]])
     np.testing.assert_allclose(found, STEP_MM * np.arange(6), atol=0.08)
     assert all(0 < float(row["sigma_x_mm"]) < 0.2 for row in rows[2:])
-    whole = gelform.load_result(surface)
-    assert whole.known.any()
-
-
-def test_the_numbers_as_json(run_json, slide, calibration_file, tmp_path):
-    said = run_json("track", slide, "-c", calibration_file, "-o", tmp_path / "t.csv", "--prior", "0.5,2")
-    assert (said["frames"], said["states"]) == (7, {"lost": 1, "found": 6})
-    assert said["lost_by_reason"] == {"no contact": 1}
+    assert gelform.load_result(surface).known.any()
 
 
 def test_frames_of_blue_green_red_give_the_same_track(run, slide, calibration_file, tmp_path):

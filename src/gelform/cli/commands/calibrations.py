@@ -109,10 +109,9 @@ def add(
 
     if serial is not None and len(files) > 1:
         raise BadParameter("belongs to one camera: add one file at a time.", param_hint="--serial")
+    loaded = [_named(path, serial, gel) for path in files]  # a refused one leaves the library as it is
     added = []
-    for calibration in [
-        _named(path, serial, gel) for path in files
-    ]:  # a refused one leaves the library as it is
+    for calibration in loaded:
         path, new = add_calibration(calibration)
         shown.say(f"Added {path}." if new else f"Already in the library: {path}.")
         if not calibration.serial:
