@@ -10,6 +10,7 @@ from gelform.calibration.evaluate import evaluate
 from gelform.calibration.presses.folder import read_presses
 from gelform.calibration_file import load_calibration
 from gelform.cli.commands import inspection
+from gelform.exchange.plots import save_picture
 
 
 def test_errors_and_what_was_seen(works, run_json, press_folder, calibration_file):
