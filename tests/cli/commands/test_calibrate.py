@@ -33,13 +33,12 @@ def test_a_calibration_and_its_report_whose_circles_can_be_labels(works, folder,
     content = json.loads((pages / "report.json").read_text(encoding="utf-8"))
     assert content["held_out"]["normal_free_deg"] == calibration.held_out["normal_free_deg"]
     assert content["calibration"]["digest"] == calibration.digest
-    assert content["verdict"]["headline"] in (pages / "report.html").read_text(encoding="utf-8")
-    verdict = content["verdict"]
+    verdict, held_out = content["verdict"], said["held_out"]
+    assert verdict["headline"] in (pages / "report.html").read_text(encoding="utf-8")
     assert said["verdict"] == verdict
     assert f"gelform calibrations add {output} --serial SERIAL\n" in err
     lines = err.splitlines()
     assert lines[:2] == [f"{verdict['headline']}.", f"Next: {verdict['next']}"]
-    held_out = said["held_out"]
     assert lines[2].startswith("small: 10 of 10 presses used; depth on held-out presses is off by ")
     for name in ("cap_free_um", "off_contact_um"):
         assert f"{held_out[name]:.3g} um" in lines[2]
@@ -53,17 +52,17 @@ def test_a_calibration_and_its_report_whose_circles_can_be_labels(works, folder,
     assert all(press.label is not None for press in read_presses(folder).presses)
 
 
-def test_tables_are_shown_only_if_asked_for(run, folder, tmp_path):
+def test_tables_are_shown_only_if_asked_for(works, folder, tmp_path):
     (folder / "images" / "0003.png").write_bytes((folder / "background.png").read_bytes())
     how = ("--model", "polynomial", "--overwrite", "-o", tmp_path / "cal.npz")
-    code, out, err = run("calibrate", folder, *how)
-    assert (code, out, len(err.splitlines())) == (0, "", 5)
+    out, err = works("calibrate", folder, *how)
+    assert (out, len(err.splitlines())) == ("", 5)
     assert "9 of 10 presses used" in err
-    _, out, err = run("calibrate", folder, *how, "--verbose")
-    for table in ("Rejected presses", "images/0003.png", "Color models tried", "Errors on held-out presses"):
-        assert table in out
+    out, err = works("calibrate", folder, *how, "--verbose")
+    tables = ("Rejected presses", "images/0003.png", "Color models tried", "Errors on held-out presses")
+    assert all(table in out for table in tables)
     assert "note: " in err
-    assert run("calibrate", folder, *how, "--verbose", "--quiet")[1:] == ("", "")
+    assert works("calibrate", folder, *how, "--verbose", "--quiet") == ("", "")
 
 
 def test_the_time_is_that_of_the_whole_command(run, folder, tmp_path, monkeypatch):
