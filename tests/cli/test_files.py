@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from gelform.calibration import report
 from gelform.calibration_file import load_calibration
 from gelform.cli import files as outputs
-from gelform.cli.files import Inputs, check_output, check_results, make_folder, new_pictures, result_paths
+from gelform.cli.files import Inputs, check_output, check_results, new_pictures, result_paths
 from gelform.errors import DataError
 from gelform.exchange.plots import save_picture
 
@@ -95,21 +95,14 @@ def test_pictures_replace_neither_images_nor_calibrations(tmp_path):
             new_pictures(images, folder, overwrite=True, read=read)
 
 
-def test_folders_that_cannot_be_made(tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(DataError, match="got the file"):
-        make_folder(tmp_path / "file")
-    with pytest.raises(DataError, match="Cannot make the folder"):
-        make_folder(tmp_path / "file" / "below")
-    assert make_folder(tmp_path / "a" / "b").is_dir()
-
-
 def test_an_output_is_checked_before_the_work(tmp_path):
     (tmp_path / "there").touch()
     with pytest.raises(DataError, match="got the folder"):
         check_output(tmp_path, overwrite=True)
     with pytest.raises(DataError, match=r"already there.*--overwrite"):
         check_output(tmp_path / "there", overwrite=False)
+    with pytest.raises(DataError, match="Expected a folder to write to, got the file"):
+        check_output(tmp_path / "there" / "x", overwrite=False)
     with pytest.raises(DataError, match="Cannot make the folder"):
         check_output(tmp_path / "there" / "below" / "x", overwrite=False)
     check_output(tmp_path / "there", overwrite=True)
