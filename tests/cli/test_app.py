@@ -111,14 +111,12 @@ def test_numbers_are_read_and_others_refused():
 def test_the_names_are_those_of_the_tables():
     from gelform.calibration.starters import starter_names
     from gelform.exchange.importers.calibrations import PACKAGES
-    from gelform.sensors.profiles import SENSORS
     from gelform.simulate import LAYOUTS
     from gelform.slopes.color_models import COLOR_MODELS
 
     assert tuple(starter_names()) == options.STARTERS
     assert tuple(COLOR_MODELS) == options.COLOR_MODELS
     assert tuple(PACKAGES) == options.PACKAGES
-    assert tuple(SENSORS) == options.SENSORS
     assert tuple(LAYOUTS) == options.LAYOUTS
     assert [sensor.name for sensor in LAYOUTS.values()] == list(LAYOUTS)
 

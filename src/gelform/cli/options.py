@@ -36,7 +36,6 @@ def names_in(file: str, table: str) -> tuple[str, ...]:
 COLOR_MODELS = names_in("slopes/color_models/__init__.py", "COLOR_MODELS")
 PACKAGES = names_in("exchange/importers/calibrations.py", "PACKAGES")
 LAYOUTS = names_in("simulate/presets.py", "LAYOUTS")
-SENSORS = names_in("sensors/profiles.py", "SENSORS")
 FORMS = names_in("exchange/exporters/moving.py", "FORMS")
 STARTERS = tuple(sorted(path.stem for path in (PACKAGE / "calibration" / "starters").glob("*.npz")))
 
@@ -125,6 +124,7 @@ AcceptDoubtful = Annotated[
 Overwrite = Annotated[bool, Option("--overwrite", help="Replace results that are already there.")]
 Images = Annotated[list[Path], Argument(metavar="IMAGE...", help="Images of the sensor, or folders of them.")]
 ResultFolder = Annotated[Path, output("DIR", "Folder for the results.")]
+NewFolder = Annotated[Path, output("DIR", "A new or empty folder.")]
 PictureFolder = Annotated[Path | None, output("DIR", "Folder for a picture of each image.")]
 NewCalibration = Annotated[Path, output("CAL.npz", "The calibration to write.")]
 CalibrationFile = Annotated[Path, calibration("The sensor's calibration.")]

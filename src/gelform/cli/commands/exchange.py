@@ -14,6 +14,7 @@ from gelform.cli.console import ShownOption, say
 from gelform.cli.files import check_output
 from gelform.cli.options import listed, one_of
 from gelform.cli.process import mistakes_in
+from gelform.sensors.profiles import check_gel_width
 
 RENDERERS = ("taxim", "isaaclab")  # as in exporters.taxim, which the help does not import
 FILES = ("ply", "stl", "tiff", "png", "x3p")
@@ -64,7 +65,6 @@ def import_(
             "needed: an image of the gel at rest; these files hold none.", param_hint="--background"
         )
     from gelform.exchange.importers.tables import RANGE_LEVELS, is_matlab
-    from gelform.sensors.profiles import check_gel_width
 
     check_output(output, overwrite=overwrite)
     with mistakes_in(file):

@@ -19,6 +19,7 @@ from gelform.cli.console import ShownOption, check_pictures, json_bytes, say
 from gelform.cli.files import check_output, content_of, write_report
 from gelform.cli.options import LAYOUTS, listed, number, one_of, usage_errors
 from gelform.cli.process import mistakes_in
+from gelform.sensors.profiles import SENSORS
 
 LAYOUT, PRESSES, SEED = "three-edges", 24, 7
 DEMO_COLUMNS = {  # of the table: heading and format of each error
@@ -41,12 +42,12 @@ DESIGN_COLUMNS = {
 
 def simulate(
     *,
-    output: Annotated[Path, options.output("DIR", "A new or empty folder.")],
+    output: options.NewFolder,
     sensor: Annotated[
         str | None,
         Option(
             metavar="NAME|FILE.toml",
-            help=f"{listed(LAYOUTS + options.SENSORS)} ({LAYOUTS[0]} by default); or your own as TOML.",
+            help=f"{listed((*LAYOUTS, *SENSORS))} ({LAYOUTS[0]} by default); or your own as TOML.",
         ),
     ] = None,
     like: Annotated[
@@ -220,13 +221,7 @@ def design(
         shown.say(f"Wrote {output}.")
 
 
-def demo(
-    *,
-    output: Annotated[Path, options.output("DIR", "A new or empty folder for the files.")] = Path(
-        "gelform-demo"
-    ),
-    shown: ShownOption,
-) -> None:
+def demo(*, output: options.NewFolder = Path("gelform-demo"), shown: ShownOption) -> None:
     """Try everything without a sensor, on a simulated one.
 
     The command calibrates the sensor, reconstructs objects and compares them with the truth.

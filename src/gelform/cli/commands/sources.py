@@ -24,6 +24,7 @@ from gelform.cli import options
 from gelform.cli.console import ShownOption, print_json, say, show
 from gelform.cli.options import number, usage_errors
 from gelform.cli.process import mistakes_in
+from gelform.sensors.profiles import check_gel_width
 
 if TYPE_CHECKING:
     from gelform.sensors.cameras import Camera
@@ -182,13 +183,9 @@ def record(
     if taken.presses:
         _presses(opened, output, taken, shown)
         return
-    for given, option in (
-        (taken.ball_diameter_mm, "--ball-diameter-mm"),
-        (taken.sensor, "--sensor"),
-        (taken.mm_per_px, "--mm-per-px"),
-    ):
-        if given is not None:
-            raise BadParameter("is for --presses only.", param_hint=option)
+    for name in ("ball_diameter_mm", "sensor", "mm_per_px"):
+        if getattr(taken, name) is not None:
+            raise BadParameter("is for --presses only.", param_hint=f"--{name.replace('_', '-')}")
     digest = "" if calibration is None else gelform.load_calibration(calibration).digest
     stats, grabbed = _recorded(opened, output, seconds, frames, digest, shown)
     reopened = grabbed.reopened
@@ -331,7 +328,6 @@ def _fresh(grabber: gelform.Grabber, count: int) -> list[Any]:
 def _sensor_settings(grabber: gelform.Grabber, wanted: PressesTaken) -> Any:
     """The content of sensor.toml: the known sensor's scale and view, the serial number, the camera's settings."""
     from gelform.calibration.presses.taken import settings_of
-    from gelform.sensors.profiles import check_gel_width
 
     sensor, mm_per_px = wanted.sensor, wanted.mm_per_px
     if sensor is None and mm_per_px is None:
