@@ -1,6 +1,7 @@
 """A small simulated sensor, its press folder and its calibration, made once for the tests of the commands."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,8 @@ from gelform.calibration.fit import calibrate
 from gelform.calibration.presses.folder import read_presses
 from gelform.cli import main
 from gelform.exchange.exporters.press_folder import save_simulated_presses
-from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
+from gelform.exchange.plots import save_picture
+from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_ball_presses, simulate_press
 from made.files import web_file
 from made.small_gel import save
 
@@ -33,6 +35,25 @@ def _pressed(path):
         SMALL, ball_diameters_mm=(6, 9), count=10, rng=np.random.default_rng(0), oversample=1
     )
     return save_simulated_presses(path, presses)
+
+
+@pytest.fixture(scope="session")
+def leds(tmp_path_factory):
+    """Images of the gel at rest under the red, green and blue LEDs alone."""
+    folder, rng = tmp_path_factory.mktemp("leds"), np.random.default_rng(4)
+    for k, name in enumerate(("red", "green", "blue")):
+        lit = tuple(led for led in SMALL.leds if int(np.argmax(led.color)) == k)
+        save_picture(
+            folder / f"{name}.png", simulate_background(replace(SMALL, leds=lit, ambient=(0, 0, 0)), rng)
+        )
+    return [folder / f"{name}.png" for name in ("red", "green", "blue")]
+
+
+@pytest.fixture
+def folder(press_folder, tmp_path):
+    """A copy of the press folder, to be changed."""
+    ignored = shutil.ignore_patterns("truth")
+    return shutil.copytree(press_folder, tmp_path / "presses", ignore=ignored)
 
 
 @pytest.fixture(scope="session")
@@ -76,8 +97,20 @@ def run(capsys):
 
 
 @pytest.fixture
+def works(run):
+    """Run a command that must succeed; gives its standard output and standard error."""
+
+    def command(*arguments):
+        code, out, err = run(*arguments)
+        assert code == 0, (out, err)
+        return out, err
+
+    return command
+
+
+@pytest.fixture
 def fails(run):
-    """Run a command that must fail with one line and no traceback; gives the line."""
+    """Run a command that must fail with one line and no traceback; gives the line, of single spaces."""
 
     def command(*arguments, status=1):
         code, out, err = run(*arguments)
@@ -86,19 +119,15 @@ def fails(run):
         if status == 1:
             assert err.count("\n") == 1, err
             assert err.startswith("gelform: error: ")
-        return err
+        return " ".join(err.split())
 
     return command
 
 
 @pytest.fixture
-def run_json(run):
-    def command(*arguments):
-        code, out, err = run(*arguments, "--json")
-        assert code == 0, err
-        return json.loads(out)
-
-    return command
+def run_json(works):
+    """Run a command that must succeed; gives its numbers."""
+    return lambda *arguments: json.loads(works(*arguments, "--json")[0])
 
 
 @pytest.fixture
@@ -107,11 +136,8 @@ def network(tmp_path):
 
 
 @pytest.fixture
-def imported(run, network, press_folder, tmp_path):
-    path = tmp_path / "imported.npz"
-    rest = press_folder / "background.png"
+def imported(works, network, press_folder, tmp_path):
+    path, rest = tmp_path / "imported.npz", press_folder / "background.png"
     how = ("--from", "gsrobotics-web", "--position", "true", "--background", rest)
-    code, _, err = run("import", network, *how, "-o", path)
-    assert code == 0, err
-    assert "results are in pixels" in err
+    assert "results are in pixels" in works("import", network, *how, "-o", path)[1]
     return path

@@ -13,8 +13,7 @@ import pytest
 
 import gelform.cli
 from gelform.calibration.library.library import add_calibration
-from gelform.cli.console import figure, print_json, printable, progress_shown, show_table
-from gelform.cli.options import ShownOption
+from gelform.cli.console import ShownOption, figure, print_json, printable
 from made.small_gel import Touch, calibration, image_of, save
 
 # Sets the title of a terminal, colors, clears the screen in one byte of C1, turns the direction of writing, ends the line.
@@ -124,7 +123,7 @@ def test_a_table_that_is_not_on_a_screen_breaks_no_name(capsys):
     name = "a/very/long/" * 20 + "name.png"
     record = {"path": name, "mm": 1.5}
     for columns, row in ((("file", "mm"), (name, 1.5)), ({"path": "file", "mm": "mm"}, record)):
-        show_table("Title", columns, [row])
+        ShownOption().table("Title", columns, [row])
         title, heading, line, *_ = capsys.readouterr().out.splitlines()
         assert (title.strip(), heading.split(), line.split()) == ("Title", ["file", "mm"], [name, "1.5"])
 
@@ -139,10 +138,10 @@ def test_quiet(capsys):
 
 
 def test_progress_is_for_a_screen_alone(capsys, monkeypatch):
-    with progress_shown(False) as progress:
+    with ShownOption().progress() as progress:
         progress(1, 2, "working")
     monkeypatch.setattr(sys, "stderr", None)
-    with progress_shown(False) as progress:
+    with ShownOption().progress() as progress:
         progress(1, 2, "working")
     monkeypatch.undo()
     assert capsys.readouterr() == ("", "")
@@ -152,7 +151,7 @@ def test_progress_on_a_screen(monkeypatch):
     screen = io.StringIO()
     monkeypatch.setattr(screen, "isatty", lambda: True, raising=False)
     monkeypatch.setattr(sys, "stderr", screen)
-    with progress_shown(False) as progress:
+    with ShownOption().progress() as progress:
         progress(1, 3, "first work")
         progress(3, 3, "first work")
         progress(1, 2, "other work")

@@ -7,24 +7,20 @@ Files of other programs, met by any command: the message has what to do with the
 
 import errno
 import os
+import shutil
 from functools import partial
+from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gelform.calibration import report
 from gelform.calibration_file import load_calibration
 from gelform.cli import files as outputs
-from gelform.cli.files import (
-    Inputs,
-    NewPicture,
-    check_output,
-    check_results,
-    make_folder,
-    new_pictures,
-    result_paths,
-)
+from gelform.cli.files import Inputs, check_output, check_results, new_pictures, result_paths
 from gelform.errors import DataError
 from gelform.exchange.plots import save_picture
 
@@ -82,31 +78,21 @@ def test_results_that_are_there_and_inputs_are_protected(tmp_path):
     second.touch()
     source.touch()
     with pytest.raises(DataError, match=r"0\.npz is already there and 1 more.*--overwrite"):
-        check_results([{"npz": first}, {"npz": second}], overwrite=False, protected=[source])
-    check_results([{"npz": first}, {"npz": second}], overwrite=True, protected=[source])
+        check_results([first, second], overwrite=False, protected=[source])
+    check_results([first, second], overwrite=True, protected=[source])
     for overwrite in (False, True):
         with pytest.raises(DataError, match="would replace an input"):
-            check_results([{"png": tmp_path / "." / "image.png"}], overwrite=overwrite, protected=[source])
+            check_results([tmp_path / "." / "image.png"], overwrite=overwrite, protected=[source])
 
 
 def test_pictures_replace_neither_images_nor_calibrations(tmp_path):
     images = [tmp_path / "a.png", tmp_path / "b.png"]
-    assert new_pictures(images, None, overwrite=False) == [None, None]
+    assert new_pictures(images, None, overwrite=False) == [(image, None) for image in images]
     out = tmp_path / "out"
-    named = new_pictures(images, out, overwrite=False)
-    assert named == [NewPicture(out / "a.png", False), NewPicture(out / "b.png", False)]
+    assert new_pictures(images, out, overwrite=False) == [(image, out / image.name) for image in images]
     for folder, read in ((tmp_path, [None]), (out, [None, out / "a.png"])):
         with pytest.raises(DataError, match="would replace an input"):
             new_pictures(images, folder, overwrite=True, read=read)
-
-
-def test_folders_that_cannot_be_made(tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(DataError, match="got the file"):
-        make_folder(tmp_path / "file")
-    with pytest.raises(DataError, match="Cannot make the folder"):
-        make_folder(tmp_path / "file" / "below")
-    assert make_folder(tmp_path / "a" / "b").is_dir()
 
 
 def test_an_output_is_checked_before_the_work(tmp_path):
@@ -115,19 +101,13 @@ def test_an_output_is_checked_before_the_work(tmp_path):
         check_output(tmp_path, overwrite=True)
     with pytest.raises(DataError, match=r"already there.*--overwrite"):
         check_output(tmp_path / "there", overwrite=False)
+    with pytest.raises(DataError, match="Expected a folder to write to, got the file"):
+        check_output(tmp_path / "there" / "x", overwrite=False)
     with pytest.raises(DataError, match="Cannot make the folder"):
         check_output(tmp_path / "there" / "below" / "x", overwrite=False)
     check_output(tmp_path / "there", overwrite=True)
     check_output(tmp_path / "a" / "b", overwrite=False)
     assert (tmp_path / "a").is_dir()
-
-
-def test_a_folder_that_holds_a_report_is_refused(tmp_path):
-    outputs.check_report_folder(tmp_path / "deep" / "report", overwrite=False)
-    (tmp_path / "deep" / "report" / "circles.csv").touch()
-    outputs.check_report_folder(tmp_path / "deep" / "report", overwrite=True)
-    with pytest.raises(DataError, match=r"circles\.csv is already there.*--overwrite"):
-        outputs.check_report_folder(tmp_path / "deep" / "report", overwrite=False)
 
 
 def test_a_full_disk_leaves_none_of_them(tmp_path, monkeypatch):
@@ -139,13 +119,15 @@ def test_a_full_disk_leaves_none_of_them(tmp_path, monkeypatch):
         if len(calls) == 2:
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(outputs.os, "fsync", full)
-    files = {tmp_path / name: b"text" for name in outputs.REPORT_FILES}
-    with pytest.raises(DataError, match="No space left"):
-        outputs._write_all(files, overwrite=False)
+    monkeypatch.setattr(report, "report_page", lambda *_: "page")
+    made = SimpleNamespace(report=SimpleNamespace(presses=[]))
+    write = partial(outputs.write_report, {}, None, made, tmp_path, False)
+    with monkeypatch.context() as patched:
+        patched.setattr(outputs.os, "fsync", full)
+        with pytest.raises(DataError, match="No space left"):
+            write()
     assert list(tmp_path.iterdir()) == []
-    monkeypatch.undo()
-    outputs._write_all(files, overwrite=False)
+    write()
     assert {path.name for path in tmp_path.iterdir()} == set(outputs.REPORT_FILES)
 
 
@@ -166,7 +148,7 @@ def test_another_size_names_the_file(calibration, tmp_path):
     save_picture(tmp_path / "small.png", np.zeros((60, 80, 3), dtype=np.uint8))
     small = tmp_path / "small.png"
     for read in (partial(Inputs().image, small), Inputs(background=small).background_for):
-        with pytest.raises(DataError, match=r"small\.png, for .*120x160.*60x80"):
+        with pytest.raises(DataError, match=r"small\.png, for .*120x160.*60x80\. Use the calibration of"):
             read(calibration)
 
 
@@ -187,43 +169,76 @@ BAG = "rosbags-convert --src {} --dst {}_mcap --dst-storage mcap"
     ],
 )
 def test_every_command_that_meets_one_says_what_to_do(
-    run, calibration_file, press_folder, tmp_path, name, way
+    fails, calibration_file, press_folder, tmp_path, name, way
 ):
     path, out = tmp_path / name, tmp_path / "out"
     path.write_bytes(b"anything at all, long enough to be looked at")
     if name.endswith(".npz"):
         np.savez(path, frames=np.zeros((2, 4, 5, 3), np.uint8))
-    for command in (
-        ("info", path),
-        ("reconstruct", path, "-c", calibration_file, "-o", out),
-        ("batch", path, "-c", calibration_file, "-o", out),
-        ("explain", path, "-c", calibration_file, "-o", out),
-        ("calibrate", path, "-o", out),
-        ("track", path, "-c", calibration_file, "-o", out),
-        ("live", path, "-c", calibration_file),
-        ("reconstruct", press_folder / "images" / "0000.png", "-c", path, "-o", out)
-        if not name.endswith(".npz")
-        else ("info", path),
-    ):
-        code, _, err = run(*command)
-        assert code == 1, (command, err)
-        assert way in " ".join(err.split()), command
+    mine, to = ("-c", calibration_file), ("-o", out)
+    reading = [(name, path, *mine, *to) for name in ("reconstruct", "batch", "explain", "track")]
+    for command in (*reading, ("info", path), ("calibrate", path, *to), ("live", path, *mine)):
+        assert way in fails(*command), command
+    if not name.endswith(".npz"):
+        assert way in fails("reconstruct", press_folder / "images" / "0000.png", "-c", path, *to)
 
 
-def test_a_bag_of_sqlite3_has_the_converting_line_in_every_command(run, calibration_file, tmp_path):
+def test_a_bag_of_sqlite3_has_the_converting_line_in_every_command(works, fails, calibration_file, tmp_path):
     bag = tmp_path / "my_bag"
     bag.mkdir()
     (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  version: 9\n")
     (bag / "my_bag_0.db3").write_bytes(b"SQLite format 3")
-    for command in (
-        ("reconstruct", bag, "-c", calibration_file, "-o", tmp_path / "out"),
-        ("batch", bag, "-c", calibration_file, "-o", tmp_path / "out"),
-        ("calibrate", bag, "-o", tmp_path / "out"),
-        ("track", bag, "-c", calibration_file, "-o", tmp_path / "out.csv"),
-        ("live", bag, "-c", calibration_file),
-        ("bag", bag, "-c", calibration_file, "-o", tmp_path / "out"),
-    ):
-        code, _, err = run(*command)
-        assert code == 1, (command, err)
-        assert BAG.format("my_bag", "my_bag") in " ".join(err.split()), command
-    assert BAG.format("my_bag", "my_bag") in " ".join(run("info", bag)[1].split())
+    out, way = tmp_path / "out.csv", BAG.format("my_bag", "my_bag")
+    for command in ("reconstruct", "batch", "track", "bag", "live"):
+        to = () if command == "live" else ("-o", out)
+        assert way in fails(command, bag, "-c", calibration_file, *to), command
+    assert way in fails("calibrate", bag, "-o", out)
+    assert way in " ".join(works("info", bag)[0].split())
+
+
+@pytest.fixture(scope="session")
+def in_bgr(press_folder, tmp_path_factory):
+    """The press folder with loads of its volumes; the same with the colors in OpenCV's order, and one array of them."""
+    right, turned = (tmp_path_factory.mktemp("colors") / name for name in ("rgb", "bgr"))
+    shutil.copytree(press_folder, right)
+    lines = ["image,object,force_n"]
+    for path in sorted((right / "truth").glob("*.npz")):
+        with np.load(path) as truth:
+            lines.append(f"images/{path.stem}.png,ball,{truth['depth_mm'][truth['contact']].sum() / 1250}")
+    (right / "loads.csv").write_text("\n".join([*lines, ""]))
+    shutil.copytree(right, turned)
+    for path in turned.rglob("*.png"):
+        cv2.imwrite(str(path), cv2.imread(str(path))[..., ::-1])
+    np.save(right / "1.npy", cv2.imread(str(turned / "images" / "0001.png")))
+    np.save(turned / "1.npy", cv2.imread(str(right / "images" / "0001.png")))
+    return right, turned
+
+
+@pytest.mark.parametrize(
+    ("command", "key"),
+    [
+        ("calibrate {} -o {out} --model polynomial", ["held_out"]),
+        ("evaluate {} -c {cal}", []),  # which knows again the presses that it has seen
+        ("force calibrate {} -c {cal} -o {out} --sure-of-unit", ["normal"]),
+        ("compare {}/1.npy -c {cal} -c {cal}", ["images", 0, "peak_a"]),
+        ("explain {}/1.npy -c {cal}", ["images", 0, "trusted_share"]),
+        ("reconstruct {}/1.npy -c {cal} -o {out}", ["results", 0, "peak_mm"]),
+        ("batch {}/images -c {cal} -o {out}", ["tally"]),
+        ("bag {}/images -c {cal} -o {out}", ["tally"]),
+    ],
+)
+def test_colors_as_opencv_has_them_give_the_same_numbers(
+    run_json, in_bgr, calibration_file, tmp_path, command, key
+):
+    said = []
+    for number, (folder, more) in enumerate(zip(in_bgr, ((), ("--bgr",)))):
+        words = command.format(folder, cal=calibration_file, out=tmp_path / f"{number}.npz").split()
+        said.append(run_json(*words, *more))
+        for part in key:
+            said[-1] = said[-1][part]
+    assert said[0] == said[1]
+
+
+def test_colors_in_the_other_order_name_the_option(fails, in_bgr, calibration_file):
+    for command, path in (("evaluate", in_bgr[1]), ("explain", in_bgr[1] / "images" / "0001.png")):
+        assert "--bgr" in fails(command, path, "-c", calibration_file)

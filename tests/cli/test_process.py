@@ -1,7 +1,4 @@
-"""The command as a process: one line for a mistake, signals, streams, one writer per file.
-
-The exit status of a command on many frames.
-"""
+"""The command as a process: one line for a mistake, signals, streams, one writer per file."""
 
 import json
 import os
@@ -13,12 +10,11 @@ import time
 
 import pytest
 
-from gelform.cli.process import as_process, mistakes_in, only_writer, status_of
+from gelform.cli.process import as_process, mistakes_in, only_writer
 from gelform.errors import DataError
-from gelform.foundations.findings import FrameTally
 from gelform.sensors.recordings.mcap_reader import end_missing
 
-MARK_PROCESS = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals and streams")
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals and streams")
 
 BUGS = [ValueError("NaN"), TypeError("no"), IndexError("out"), ZeroDivisionError(), RecursionError("deep")]
 
@@ -38,7 +34,6 @@ def broken(monkeypatch, tmp_path):
     return breaks
 
 
-@MARK_PROCESS
 def test_a_bug_says_that_it_is_one(broken, run):
     for problem in BUGS:
         code, out, err = run("info", broken(problem))
@@ -49,7 +44,6 @@ def test_a_bug_says_that_it_is_one(broken, run):
         assert err.count("\n") == 1
 
 
-@MARK_PROCESS
 def test_a_mistake_and_an_interrupt_are_one_line(broken, run):
     no_memory = "gelform: error: not enough memory for this. Use smaller images, or fewer at a time.\n"
     parameters = "Give mm_per_px= (--mm-per-px), or allow it: overwrite=True (--overwrite)."
@@ -64,8 +58,7 @@ def test_a_mistake_and_an_interrupt_are_one_line(broken, run):
     assert run("info", broken(KeyboardInterrupt())) == (130, "", "gelform: interrupted.\n")
 
 
-@MARK_PROCESS
-def test_a_name_that_no_file_can_have_is_a_mistake_in_every_command(run, tmp_path):
+def test_a_name_that_no_file_can_have_is_a_mistake_in_every_command(fails, tmp_path):
     long, there = "a" * 5000, ("-c", tmp_path / "cal.npz")
     for command in (
         ("info", long), ("verify", long), ("evaluate", long, *there), ("explain", long, *there),
@@ -73,13 +66,9 @@ def test_a_name_that_no_file_can_have_is_a_mistake_in_every_command(run, tmp_pat
         ("calibrate", long, "-o", tmp_path / "new.npz"), ("reconstruct", long, *there, "-o", tmp_path / "out"),
         ("starter", "gelsight-mini", "--background", long, "-o", tmp_path / "new.npz"),
     ):  # fmt: skip
-        code, _, err = run(*command)
-        assert code == 1, command[0]
-        assert err.startswith("gelform: error: ")
-        assert err.count("\n") == 1
+        fails(*command)
 
 
-@MARK_PROCESS
 def test_the_traceback_comes_when_it_is_asked_for(broken, run, monkeypatch):
     path = broken(IndexError("out"))
     assert "Traceback" not in run("info", path)[2]
@@ -91,7 +80,6 @@ def test_the_traceback_comes_when_it_is_asked_for(broken, run, monkeypatch):
         monkeypatch.setenv("GELFORM_DEBUG", "1")
 
 
-@MARK_PROCESS
 def test_only_what_was_given_is_turned_round():
     with pytest.raises(DataError, match=r"a\.png: too small") as raised, mistakes_in("a.png"):
         raise ValueError("too small")
@@ -107,20 +95,15 @@ def shell(command, **how):
     return subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60, **how)
 
 
-@MARK_PROCESS
 @pytest.mark.slow
 def test_closed_streams_are_no_traceback(calibration_file, tmp_path):
-    for command in (
-        f"{GELFORM} info {calibration_file} 2>&-",
-        f"{GELFORM} info {calibration_file} >&-",
-        f"{GELFORM} info {tmp_path}/nothing <&- >&- 2>&-",
-    ):
-        ran = shell(command)
+    given = (f"{calibration_file} 2>&-", f"{calibration_file} >&-", f"{tmp_path}/nothing <&- >&- 2>&-")
+    for command in given:
+        ran = shell(f"{GELFORM} info {command}")
         assert ran.returncode == ("nothing" in command), command
         assert "Traceback" not in ran.stderr
 
 
-@MARK_PROCESS
 @pytest.mark.slow
 def test_a_reader_that_stops_is_no_traceback(press_folder):
     """Standard error belongs to the command alone: the shell's own would hide what Python says as it exits."""
@@ -129,17 +112,14 @@ def test_a_reader_that_stops_is_no_traceback(press_folder):
         assert ran.stderr == "", command
 
 
-@MARK_PROCESS
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
 def test_a_full_disk_behind_the_output_is_said():
-    if not os.path.exists("/dev/full"):
-        pytest.skip("no /dev/full")
     ran = shell(f"{GELFORM} --version > /dev/full")
     assert ran.returncode == 1
     assert "No space left" in ran.stderr
     assert "Traceback" not in ran.stderr
 
 
-@MARK_PROCESS
 @pytest.mark.slow
 def test_streams_that_know_ascii_alone(press_folder, calibration_file, tmp_path):
     image = tmp_path / "Prüfling µ.png"
@@ -154,7 +134,6 @@ def test_streams_that_know_ascii_alone(press_folder, calibration_file, tmp_path)
     assert json.loads(again.stdout)["results"][0]["image"] == str(image)
 
 
-@MARK_PROCESS
 def test_a_pipe_is_no_file(tmp_path, fails, calibration_file):
     pipe, to = tmp_path / "pipe.png", ("-o", tmp_path / "o")
     os.mkfifo(pipe)
@@ -163,7 +142,6 @@ def test_a_pipe_is_no_file(tmp_path, fails, calibration_file):
     assert "No file" in fails("reconstruct", tmp_path / "x.png", "-c", pipe, *to)
 
 
-@MARK_PROCESS
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "workers"), [(signal.SIGINT, 1), (signal.SIGINT, 2), (signal.SIGTERM, 2), (signal.SIGHUP, 2)]
@@ -182,7 +160,6 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(kind, workers, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@MARK_PROCESS
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no terminals here")
 def test_a_terminal_that_closes_ends_a_recording_with_its_index(tmp_path):
@@ -211,7 +188,6 @@ def test_a_terminal_that_closes_ends_a_recording_with_its_index(tmp_path):
     assert end_missing(path) == ""
 
 
-@MARK_PROCESS
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no SIGHUP here")
 def test_nohup_stays_so_and_handlers_come_back():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -226,7 +202,6 @@ def test_nohup_stays_so_and_handlers_come_back():
         signal.signal(signal.SIGHUP, before)
 
 
-@MARK_PROCESS
 def test_the_second_writer_of_one_file_is_refused(tmp_path, fails, press_folder):
     with only_writer(tmp_path / "cal.npz"):
         assert "Another gelform is making" in fails("calibrate", press_folder, "-o", tmp_path / "cal.npz")
@@ -237,37 +212,3 @@ def test_the_second_writer_of_one_file_is_refused(tmp_path, fails, press_folder)
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(DataError, match="Cannot write into"), only_writer(tmp_path / "no" / "cal.npz"):
         pass
-
-
-GOOD, DOUBTFUL, UNKNOWN = ([], True), (["beyond_gel"], True), (["not_this_gel"], False)
-
-
-@pytest.mark.parametrize(
-    ("frames", "failed", "status", "accepted"),
-    [
-        ([GOOD, DOUBTFUL], 0, 0, 0),
-        ([GOOD, DOUBTFUL, DOUBTFUL], 0, 3, 0),
-        ([GOOD, UNKNOWN, UNKNOWN], 0, 3, 0),
-        ([UNKNOWN], 0, 1, 1),
-        ([GOOD], 1, 1, 1),
-        ([DOUBTFUL], 1, 1, 1),
-        ([], 2, 1, 1),
-        ([], 0, 0, 0),
-    ],
-)
-def test_what_the_frames_make_of_the_status(frames, failed, status, accepted):
-    tally = FrameTally()
-    for names, known in frames:
-        tally.add(names, known=known)
-    for _ in range(failed):
-        tally.add_failed("it is empty")
-    assert status_of(tally, accept_doubtful=False, quiet=True) == status
-    assert status_of(tally, accept_doubtful=True, quiet=True) == accepted
-
-
-def test_few_frames_are_no_zero_percent(capsys):
-    tally = FrameTally()
-    for k in range(300):
-        tally.add(["steep"] * (k == 0), known=True)
-    status_of(tally, accept_doubtful=False, quiet=False)
-    assert capsys.readouterr().err == "Findings in 300 frames: steep under 1 %.\n"

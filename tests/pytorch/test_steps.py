@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from gelform.depth import coarse
-from gelform.depth.coarse import CoarseDepth
 from gelform.depth.solvers.dct import DctSolver
 from gelform.errors import CalibrationError
 from gelform.foundations.checks import HIGHEST_SLOPE
@@ -161,7 +160,9 @@ def batch(*maps):
 
 def slopes_after(forward, change, read):
     """The numpy path's slopes after a step with the frame's depth."""
-    return PreparedStep(forward)(change, read, CoarseDepth(read.shape[:2], UNTOUCHED)(change, read)).gradients
+    return PreparedStep(forward)(
+        change, read, coarse.CoarseDepth(read.shape[:2], UNTOUCHED)(change, read)
+    ).gradients
 
 
 @pytest.mark.parametrize("shape", [(64, 96), (61, 90), (17, 33)], ids=["divided", "not_divided", "small"])

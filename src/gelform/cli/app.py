@@ -9,28 +9,27 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
+import gelform
 from gelform.cli.commands import calibrations, force
 from gelform.cli.commands.batch import batch, verify
-from gelform.cli.commands.calibrate import calibrate, starter
-from gelform.cli.commands.demo import demo
+from gelform.cli.commands.calibrate import calibrate, crosstalk, lens, scale, starter
 from gelform.cli.commands.exchange import export, import_
-from gelform.cli.commands.geometry import crosstalk, lens, scale
 from gelform.cli.commands.info import info
 from gelform.cli.commands.inspection import compare, evaluate, explain
-from gelform.cli.commands.live import live
 from gelform.cli.commands.reconstruct import reconstruct
 from gelform.cli.commands.robots import bag, ros, track
-from gelform.cli.commands.simulate import design, simulate
-from gelform.cli.commands.sources import cameras, record
+from gelform.cli.commands.simulate import demo, design, simulate
+from gelform.cli.commands.sources import cameras, live, record
 from gelform.cli.options import flat
 from gelform.cli.process import DEBUG, ReportedFailures, as_process
 
 # With a busy neighbor two BLAS threads are nine times slower than one. A stream has a thread for each stage, so OpenCV needs
 # none of its own. A camera that hangs would block its reader for OpenCV's default of 10 s.
-ONE_THREAD = dict.fromkeys(
-    ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"), "1"
-)
-ENVIRONMENT = {**ONE_THREAD, "OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT": "1"}
+ENVIRONMENT = {
+    **dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
+    "OPENCV_FOR_THREADS_NUM": "1",
+    "OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT": "1",
+}
 SUBCOMMANDS = {"force": force, "calibrations": calibrations}  # commands with commands of their own
 GROUPS: dict[str, tuple[Any, ...]] = {
     "Start": (demo, live, simulate, info),
@@ -89,20 +88,14 @@ def _typer(name: str, **settings: Any) -> typer.Typer:
     )
 
 
-def _below(name: str) -> typer.Typer:
-    """The commands below a command, such as `gelform calibrations`."""
-    module = SUBCOMMANDS[name]
-    made = _typer(name, help=module.__doc__, short_help=module.SUMMARY)
-    for command in module.COMMANDS:
-        made.command(_name(command), cls=GivenOnce)(flat(command))
-    return made
-
-
 app = _typer("gelform", cls=Commands, add_completion=False, pretty_exceptions_enable=False)
 for command in (one for commands in GROUPS.values() for one in commands if not isinstance(one, str)):
     app.command(_name(command), cls=GivenOnce)(flat(command))
-for name in SUBCOMMANDS:
-    app.add_typer(_below(name))
+for name, module in SUBCOMMANDS.items():
+    below = _typer(name, help=module.__doc__, short_help=module.SUMMARY)
+    for command in module.COMMANDS:
+        below.command(_name(command), cls=GivenOnce)(flat(command))
+    app.add_typer(below)
 
 
 def command_names() -> tuple[str, ...]:
@@ -112,9 +105,7 @@ def command_names() -> tuple[str, ...]:
 
 def _print_version(asked: bool) -> None:
     if asked:
-        from gelform import __version__
-
-        typer.echo(f"gelform {__version__}")
+        typer.echo(f"gelform {gelform.__version__}")
         raise typer.Exit
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import glob
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,28 +13,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import BadParameter
 
+import gelform
+from gelform import sensors
+from gelform.calibration import report
+from gelform.cli import options
 from gelform.cli.console import check_pictures, json_bytes, say
-from gelform.cli.options import (
-    STARTERS,
-    Background,
-    Bgr,
-    OptionalCalibration,
-    StarterSensor,
-    number,
-    one_of,
-    pitch,
-)
 from gelform.cli.process import mistakes_in
 from gelform.errors import DataError, GelformError
 from gelform.foundations.findings import Progress
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from gelform.arrays import Array, Image, Map
     from gelform.calibration.presses.folder import Presses
-    from gelform.calibration_file import Calibration
-    from gelform.reconstruct import Reconstructor
 
 REPORT_FILES = ("report.html", "report.json", "circles.csv")
 
@@ -58,7 +49,7 @@ def result_paths(inputs: Sequence[Path], folder: Path, formats: Sequence[str]) -
     return [{one: folder / f"{name}.{one}" for one in formats} for name in names]
 
 
-def check_results(paths: Sequence[dict[str, Path]], *, overwrite: bool, protected: Sequence[Path]) -> None:
+def check_results(results: Sequence[Path], *, overwrite: bool, protected: Sequence[Path] = ()) -> None:
     """Refuse results that exist (unless `overwrite`), and any that would replace an input.
 
     Temporary files of killed runs are deleted there.
@@ -66,43 +57,35 @@ def check_results(paths: Sequence[dict[str, Path]], *, overwrite: bool, protecte
     from gelform.foundations.files import sweep
 
     inputs = {os.path.realpath(path) for path in protected}
-    results = [path for one in paths for path in one.values()]
     clashing = [path for path in results if os.path.realpath(path) in inputs]
     if clashing:
         raise DataError(f"The result {clashing[0]} would replace an input. Choose another folder with -o.")
     there = [path for path in results if os.path.lexists(path)]
     if there and not overwrite:
         more = f" and {len(there) - 1} more" if len(there) > 1 else ""
-        raise DataError(f"{there[0]} is already there{more}. Choose another folder, or allow --overwrite.")
+        raise DataError(f"{there[0]} is already there{more}. Choose another place, or allow --overwrite.")
     for folder in {path.parent for path in results if path.parent.is_dir()}:
         sweep(folder)
 
 
-@dataclass(frozen=True)
-class NewPicture:
-    """A picture to write."""
-
-    path: Path
-    overwrite: bool
-
-    def save(self, pixels: NDArray[np.uint8]) -> None:
-        """Write it; a missing folder is made."""
-        from gelform.exchange.plots import save_picture
-
-        make_folder(self.path.parent)
-        save_picture(self.path, pixels, overwrite=self.overwrite)
-
-
 def new_pictures(
     images: Sequence[Path], folder: Path | None, *, overwrite: bool, read: Sequence[Path | None] = ()
-) -> list[NewPicture | None]:
-    """The picture of each image, None for each without a folder; checked before any work, and `read` is not replaced."""
+) -> list[tuple[Path, Path | None]]:
+    """Each image with its picture, None without a folder; checked before any work, and `read` is not replaced."""
     if folder is None:
-        return [None] * len(images)
+        return [(image, None) for image in images]
     check_pictures()
-    paths = result_paths(images, folder, ["png"])
+    paths = [one["png"] for one in result_paths(images, folder, ["png"])]
     check_results(paths, overwrite=overwrite, protected=[*images, *filter(None, read)])
-    return [NewPicture(one["png"], overwrite) for one in paths]
+    return list(zip(images, paths))
+
+
+def save_by_name(result: gelform.Reconstruction, path: Path, *, overwrite: bool) -> None:
+    """Write the whole result into a .npz, or its surface in the form that another ending of the name says."""
+    from gelform.exchange.exporters.surface import save_surface
+
+    save = gelform.save_result if path.suffix.lower() == ".npz" else save_surface
+    save(result, path, overwrite=overwrite)
 
 
 def check_output(path: Path, *, overwrite: bool) -> None:
@@ -111,14 +94,10 @@ def check_output(path: Path, *, overwrite: bool) -> None:
     Temporary files of killed runs in that folder are deleted. DataError: the name is a folder's, the file exists (unless
     `overwrite`), or nothing can be written there.
     """
-    from gelform.foundations.files import sweep
-
     if path.is_dir():
         raise DataError(f"Expected a file name, got the folder {path}. Add a name: {path / 'name'}.")
-    if os.path.lexists(path) and not overwrite:
-        raise DataError(f"{path} is already there. Choose another name, or allow --overwrite.")
+    check_results([path], overwrite=overwrite)
     _check_room(make_folder(path.parent))
-    sweep(path.parent)
 
 
 def make_folder(folder: Path) -> Path:
@@ -144,47 +123,31 @@ def _check_room(folder: Path) -> None:
         raise DataError(f"Cannot write into {folder}: {problem.strerror or problem}.") from problem
 
 
-def check_report_folder(folder: Path, overwrite: bool) -> None:
-    """Make the folder, and refuse one that contains a report (unless `overwrite`), before the work."""
-    check_output(folder / REPORT_FILES[0], overwrite=True)
-    there = [name for name in REPORT_FILES if (folder / name).exists()]
-    if there and not overwrite:
-        raise DataError(f"{folder / there[0]} is already there. Choose another folder, or allow --overwrite.")
-
-
 def content_of(
-    presses: Presses, calibration: Calibration, progress: Progress, *, with_learning: bool
+    presses: Presses, calibration: gelform.Calibration, progress: Progress, *, with_learning: bool
 ) -> dict[str, Any]:
     """The report as numbers and text. The learning curve costs a dozen calibrations and adds a section."""
     import numpy as np
 
-    from gelform.calibration.report.content import report_content
-    from gelform.calibration.report.learning import learning_curve
-
-    rng = np.random.default_rng(0)
-    learning = learning_curve(presses, calibration, rng=rng, progress=progress) if with_learning else None
-    return report_content(presses, calibration, rng=rng, learning=learning)
+    rng, learning = np.random.default_rng(0), None
+    if with_learning:
+        learning = report.learning_curve(presses, calibration, rng=rng, progress=progress)
+    content: dict[str, Any] = report.report_content(presses, calibration, rng=rng, learning=learning)
+    return content
 
 
 def write_report(
-    content: dict[str, Any], presses: Presses, calibration: Calibration, folder: Path, *, overwrite: bool
+    content: dict[str, Any], presses: Presses, calibration: gelform.Calibration, folder: Path, overwrite: bool
 ) -> None:
-    """Write the files of `--report`: the page, its numbers, and the circles as a table."""
-    from gelform.calibration.report.page import report_page
-
-    page = report_page(content, presses, calibration)
-    files = (page.encode(), json_bytes(content), _circles_csv(calibration.report.presses))
-    _write_all({folder / name: data for name, data in zip(REPORT_FILES, files)}, overwrite)
-
-
-def _write_all(files: Mapping[Path, bytes], overwrite: bool) -> None:
-    """Write all files or none: each gets its name only when the bytes of all are on the disk."""
+    """Write the files of `--report`, all or none: the page, its numbers, and the circles as a table."""
     from gelform.foundations.files import written_file
 
-    make_folder(next(iter(files)).parent)
-    with ExitStack() as stack:
-        for path, data in files.items():
-            handle = stack.enter_context(written_file(path, overwrite=overwrite))
+    page = report.report_page(content, presses, calibration)
+    contents = (page.encode(), json_bytes(content), _circles_csv(calibration.report.presses))
+    make_folder(folder)
+    with ExitStack() as stack:  # each gets its name only when the bytes of all are on the disk
+        for name, data in zip(REPORT_FILES, contents):
+            handle = stack.enter_context(written_file(folder / name, overwrite=overwrite))
             handle.write(data)
             handle.flush()
             os.fsync(handle.fileno())
@@ -210,13 +173,13 @@ def _circles_csv(rows: Any) -> bytes:
 class Inputs:
     """What reads frames: a calibration (a file, else the library's newest of the unit, else a starter), and a background."""
 
-    calibration: OptionalCalibration = None
-    sensor: StarterSensor = None
+    calibration: options.OptionalCalibration = None
+    sensor: options.StarterSensor = None
     mm_per_px: Annotated[
-        float | None, number("For a starter: width of an image pixel on the gel, mm.", pitch)
+        float | None, options.number("For a starter: width of an image pixel on the gel, mm.", options.pitch)
     ] = None
-    background: Background = None
-    bgr: Bgr = False
+    background: options.Background = None
+    bgr: options.Bgr = False
 
     def __post_init__(self) -> None:
         """Refuse options that exclude each other; a starter needs the background image."""
@@ -224,7 +187,7 @@ class Inputs:
             if self.mm_per_px is not None:
                 raise BadParameter("is of a starter: name it with --sensor.", param_hint="--mm-per-px")
             return
-        one_of(self.sensor, STARTERS, "--sensor")
+        options.one_of(self.sensor, options.STARTERS, "--sensor")
         if self.calibration is not None:
             raise BadParameter(
                 "-c names the calibration already. Leave one of them out.", param_hint="--sensor"
@@ -235,30 +198,24 @@ class Inputs:
                 param_hint="--background",
             )
 
-    def calibration_of(self, source: str | Sequence[Path], quiet: bool) -> Calibration:
+    def calibration_of(self, source: str | Sequence[Path], quiet: bool) -> gelform.Calibration:
         """The calibration for a source or for files of images; says which one it is unless it is a file's."""
-        from gelform.calibration.library.library import (
-            NoCalibration,
-            choose_calibration,
-            unit_of,
-            unit_of_all,
-        )
-        from gelform.calibration_file import load_calibration
+        from gelform.calibration.library import library
 
         if self.calibration is not None:
-            return load_calibration(self.calibration)
-        unit = unit_of(source) if isinstance(source, str) else unit_of_all(source)
+            return gelform.load_calibration(self.calibration)
+        unit = library.unit_of(source) if isinstance(source, str) else library.unit_of_all(source)
         try:
-            chosen = choose_calibration(unit, ready=self.sensor is None)
-        except NoCalibration as problem:
+            chosen = library.choose_calibration(unit, ready=self.sensor is None)
+        except library.NoCalibration as problem:
             return self.starter(unit.serial, problem, quiet)
         say(chosen.said, quiet)
         return chosen.calibration
 
-    def starter(self, serial: str, missing: GelformError, quiet: bool) -> Calibration:
+    def starter(self, serial: str, missing: GelformError, quiet: bool) -> gelform.Calibration:
         """The requested starter's calibration, announced to the user; raises `missing` with advice if none is requested."""
         if self.sensor is None or self.background is None:
-            known = ", ".join(STARTERS)
+            known = ", ".join(options.STARTERS)
             raise type(missing)(
                 f"{missing} Or take a starter, with an image of the gel at rest: --sensor NAME ({known}) --background IMG."
             )
@@ -271,27 +228,19 @@ class Inputs:
         )
         return made
 
-    def background_for(self, calibration: Calibration) -> NDArray[np.float32] | None:
+    def background_for(self, calibration: gelform.Calibration) -> Map | None:
         """The background image from the file or the folder of frames; None without one."""
-        from gelform.sensors.files import read_background
-
         path = self.background
-        return None if path is None else _viewed(read_background(path), path, calibration)
+        return None if path is None else _viewed(sensors.read_background(path), path, calibration)
 
-    def image(self, path: Path, calibration: Calibration) -> NDArray[np.uint8]:
+    def image(self, path: Path, calibration: gelform.Calibration) -> Image:
         """The image (H, W, 3), RGB, of a camera frame in a file."""
-        from gelform.sensors.files import read_image
-
-        frame = read_image(path, most_pixels=calibration.most_pixels, bgr=self.bgr)
+        frame = gelform.read_image(path, most_pixels=calibration.most_pixels, bgr=self.bgr)
         return _viewed(frame, path, calibration)
 
-    def reconstructor(self, calibration: Calibration | Path, **settings: Any) -> Reconstructor:
+    def reconstructor(self, calibration: gelform.Calibration, **settings: Any) -> gelform.Reconstructor:
         """A Reconstructor of a calibration with the background, if there is one."""
-        from gelform.calibration_file import as_calibration
-        from gelform.reconstruct import Reconstructor
-
-        loaded = as_calibration(calibration)
-        return Reconstructor(loaded, background=self.background_for(loaded), **settings)
+        return gelform.Reconstructor(calibration, background=self.background_for(calibration), **settings)
 
     def images(self, paths: Sequence[Path]) -> list[Path]:
         """The images of files and folders, without the background; DataError for a video or another file of several."""
@@ -305,8 +254,6 @@ class Inputs:
 
     def images_or_film(self, paths: Sequence[Path], dataset: str = "") -> tuple[list[Path], Path | None]:
         """The images of files, folders and patterns; or the one video, recording or file of several images among them."""
-        import glob
-
         from gelform.batch.containers import is_container
         from gelform.batch.inputs import listing_of
         from gelform.sensors.files import FILM_SUFFIXES, is_stack
@@ -328,17 +275,16 @@ class Inputs:
         return images, None
 
 
-def starter_calibration(sensor: str, background: Path, *, bgr: bool = False, **known: Any) -> Calibration:
+def starter_calibration(
+    sensor: str, background: Path, *, bgr: bool = False, **known: Any
+) -> gelform.Calibration:
     """The calibration of a unit from an image of its gel at rest, or a folder of several, by its make's starter.
 
     `known` are mm_per_px, serial and gel_id, as `calibration_from_background` takes them.
     """
-    from gelform.calibration.starters import calibration_from_background
-    from gelform.sensors.files import read_background
-
-    untouched = read_background(background, bgr=bgr)
+    untouched = sensors.read_background(background, bgr=bgr)
     with mistakes_in(background), named(background):
-        return calibration_from_background(untouched, sensor, **known)
+        return gelform.calibration_from_background(untouched, sensor, **known)
 
 
 @contextmanager
@@ -350,9 +296,18 @@ def named(path: Path) -> Iterator[None]:
         raise type(problem)(f"{path}: {problem}") from problem
 
 
-def _viewed(frame: NDArray[Any], path: Path, calibration: Calibration) -> NDArray[Any]:
-    from gelform.foundations.checks import check_image
-    from gelform.image.view import image_from_frame
-
+def _viewed(frame: Array, path: Path, calibration: gelform.Calibration) -> Array:
     with mistakes_in(f"{path}, for the calibration of {calibration.sensor_name}"):
-        return check_image(image_from_frame(frame, calibration.view), shape=calibration.image_shape)
+        image = gelform.image_from_frame(frame, calibration.view)
+        if image.shape[:2] != calibration.image_shape:
+            raise ValueError(f"Expected image of {other_size(image.shape, [calibration.image_shape])}")
+    return image
+
+
+def other_size(given: Sequence[int], expected: Sequence[Sequence[int]]) -> str:
+    """The end of a sentence about images of another size (height, width) than those of the calibration: what to do."""
+    sizes = " or ".join(f"{height}x{width}" for height, width in expected)
+    return (
+        f"{sizes} px (height x width), got {given[0]}x{given[1]}. Use the calibration of this sensor, or calibrate with "
+        "images of this size."
+    )

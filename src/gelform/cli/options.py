@@ -5,22 +5,18 @@ from __future__ import annotations
 import ast
 import inspect
 import math
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import Columns, Rows, print_json, progress_shown, say, show_table
-from gelform.foundations.findings import Progress
-from gelform.robots.topics import TOPICS, USUAL
 from gelform.sensors.profiles import PROFILES
 
 PACKAGE = Path(__file__).parents[1]
-ALL_TOPICS, USUAL_TOPICS = ",".join(TOPICS), ",".join(USUAL)
 
 
 def names_in(file: str, table: str) -> tuple[str, ...]:
@@ -40,7 +36,6 @@ def names_in(file: str, table: str) -> tuple[str, ...]:
 COLOR_MODELS = names_in("slopes/color_models/__init__.py", "COLOR_MODELS")
 PACKAGES = names_in("exchange/importers/calibrations.py", "PACKAGES")
 LAYOUTS = names_in("simulate/presets.py", "LAYOUTS")
-SENSORS = names_in("sensors/profiles.py", "SENSORS")
 FORMS = names_in("exchange/exporters/moving.py", "FORMS")
 STARTERS = tuple(sorted(path.stem for path in (PACKAGE / "calibration" / "starters").glob("*.npz")))
 
@@ -93,6 +88,16 @@ def number(help: str, parser: Callable[[str], float] = positive) -> Any:
     return Option(metavar="F", parser=parser, help=help)
 
 
+def output(metavar: str, help: str) -> Any:
+    """The option that names what a command writes."""
+    return Option("--output", "-o", metavar=metavar, help=help)
+
+
+def calibration(help: str) -> Any:
+    """The option that names a calibration to read."""
+    return Option("--calibration", "-c", metavar="CAL.npz", help=help)
+
+
 def numbers(text: str, form: str, option: str) -> tuple[float, ...]:
     """Numbers separated by commas, as many as the form (such as "X1,Y1,X2,Y2,MM") has parts."""
     try:
@@ -118,23 +123,13 @@ AcceptDoubtful = Annotated[
 ]
 Overwrite = Annotated[bool, Option("--overwrite", help="Replace results that are already there.")]
 Images = Annotated[list[Path], Argument(metavar="IMAGE...", help="Images of the sensor, or folders of them.")]
-PictureFolder = Annotated[
-    Path | None, Option("--output", "-o", metavar="DIR", help="Folder for a picture of each image.")
-]
-NewCalibration = Annotated[
-    Path, Option("--output", "-o", metavar="CAL.npz", help="The calibration to write.")
-]
-CalibrationFile = Annotated[
-    Path, Option("--calibration", "-c", metavar="CAL.npz", help="The sensor's calibration.")
-]
+ResultFolder = Annotated[Path, output("DIR", "Folder for the results.")]
+NewFolder = Annotated[Path, output("DIR", "A new or empty folder.")]
+PictureFolder = Annotated[Path | None, output("DIR", "Folder for a picture of each image.")]
+NewCalibration = Annotated[Path, output("CAL.npz", "The calibration to write.")]
+CalibrationFile = Annotated[Path, calibration("The sensor's calibration.")]
 OptionalCalibration = Annotated[
-    Path | None,
-    Option(
-        "--calibration",
-        "-c",
-        metavar="CAL.npz",
-        help="The sensor's calibration. Default: the library's newest of its serial.",
-    ),
+    Path | None, calibration("The sensor's calibration. Default: the library's newest of its serial.")
 ]
 StarterSensor = Annotated[
     str | None,
@@ -145,8 +140,7 @@ StarterSensor = Annotated[
     ),
 ]
 Sensor = Annotated[
-    str | None,
-    Option(metavar="PROFILE", help=f"Make of the sensor, for crop and scale: {listed(tuple(PROFILES))}."),
+    str | None, Option(metavar="PROFILE", help=f"Make, for crop and scale: {listed(tuple(PROFILES))}.")
 ]
 MmPerPx = Annotated[float | None, number("Width of an image pixel on the gel, mm.", pitch)]
 Background = Annotated[
@@ -156,38 +150,9 @@ Bgr = Annotated[bool, Option("--bgr", help="The frames are blue, green, red, as 
 Dataset = Annotated[
     str, Option(metavar="PATH", help="Where frames are in HDF5, Zarr, LeRobot; * stands for one name.")
 ]
+Solver = Annotated[str, Option(help="Solver from slopes to depth; auto chooses.")]
+Seconds = Annotated[float | None, number("Duration in seconds; else to the end or Ctrl-C.")]
 Seed = Annotated[int, Option(min=0, help="Seed of the random numbers.")]
-
-
-@dataclass(frozen=True)
-class ShownOption:
-    """The output of a command: results on standard output, the rest on standard error."""
-
-    quiet: Quiet = False
-    as_json: Json = False
-
-    @property
-    def silent(self) -> bool:
-        """Whether to print nothing but JSON."""
-        return self.quiet or self.as_json
-
-    def say(self, text: str) -> None:
-        """Print a line for the user."""
-        say(text, self.quiet)
-
-    def table(self, title: str, columns: Columns, rows: Rows) -> None:
-        """Print a table for the user."""
-        if not self.silent:
-            show_table(title, columns, rows)
-
-    def json(self, content: Mapping[str, Any]) -> None:
-        """Print the numbers as JSON, if requested."""
-        if self.as_json:
-            print_json(content)
-
-    def progress(self) -> AbstractContextManager[Progress]:
-        """Show a bar for each kind of work; yields the function that updates it."""
-        return progress_shown(self.quiet)
 
 
 @dataclass(frozen=True)
@@ -197,30 +162,24 @@ class PressOptions:
     sensor: Sensor = None
     mm_per_px: MmPerPx = None
     ball_diameter_mm: Annotated[
-        float | None,
-        number("Diameter of the ball, mm, for a video or a folder without presses.csv.", ball_diameter),
+        float | None, number("Ball's diameter, mm, for a video or folder without presses.csv.", ball_diameter)
     ] = None
     background: Background = None
     bgr: Annotated[
-        bool,
-        Option(
-            "--bgr", help="All images, the background too, are blue, green, red, as OpenCV writes an array."
-        ),
+        bool, Option("--bgr", help="All images, also the background, are blue, green, red, as in OpenCV.")
     ] = False
 
 
 def flat(function: Callable[..., None]) -> Callable[..., None]:
     """Flatten a command for typer: each field of a dataclass of options becomes a parameter."""
-    hints = get_type_hints(function, include_extras=True)
     parameters: list[inspect.Parameter] = []
     groups: dict[str, Any] = {}
-    for parameter in inspect.signature(function).parameters.values():
-        kind = as_written(hints[parameter.name])
-        if is_dataclass(kind):
-            groups[parameter.name] = kind
-            parameters += _parameters_of(kind)
+    for parameter in _typed_parameters(function):
+        if is_dataclass(parameter.annotation):
+            groups[parameter.name] = parameter.annotation
+            parameters += _typed_parameters(parameter.annotation)
         else:
-            parameters.append(parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=kind))
+            parameters.append(parameter)
 
     @wraps(function)
     def command(**given: Any) -> None:
@@ -235,6 +194,15 @@ def flat(function: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
+def _typed_parameters(of: Any) -> list[inspect.Parameter]:
+    """The parameters of a function or dataclass as keywords, with their types in the place of their types' text."""
+    hints = get_type_hints(of, include_extras=True)
+    return [
+        one.replace(kind=one.KEYWORD_ONLY, annotation=as_written(hints[one.name]))
+        for one in inspect.signature(of).parameters.values()
+    ]
+
+
 def as_written(hint: Any) -> Any:
     """An annotation without the Optional that Python 3.10 adds if the default is None.
 
@@ -243,16 +211,3 @@ def as_written(hint: Any) -> Any:
     if get_origin(hint) is Annotated:
         return hint
     return next((one for one in get_args(hint) if get_origin(one) is Annotated), hint)
-
-
-def _parameters_of(kind: Any) -> list[inspect.Parameter]:
-    hints = get_type_hints(kind, include_extras=True)
-    return [
-        inspect.Parameter(
-            field.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=inspect.Parameter.empty if field.default is MISSING else field.default,
-            annotation=hints[field.name],
-        )
-        for field in fields(kind)
-    ]

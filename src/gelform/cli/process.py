@@ -1,9 +1,8 @@
 """The command as a process: failures, signals, streams of any encoding or none, one writer per file, its findings.
 
 A mistake in the user's input prints one line and exits with status 1, a bug of gelform with status 70. Results that are
-doubtful in most frames are kept, and end with status 3. A mistake is a
-GelformError, an OSError about a file, or a ValueError that a command converts with `mistakes_in`. Any other exception is a
-bug.
+doubtful in most frames are kept, and end with status 3. A mistake is a GelformError, an OSError about a file, or a
+ValueError that a command converts with `mistakes_in`. Any other exception is a bug.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -76,25 +75,21 @@ def _usage_printable() -> Iterator[None]:
 
 def _report(problem: BaseException) -> int:
     """Print the problem; return the exit status."""
+    status = MISTAKE
     if isinstance(problem, KeyboardInterrupt):
-        return _said("interrupted.", INTERRUPTED)
-    if isinstance(problem, MemoryError):
-        return _said("error: not enough memory for this. Use smaller images, or fewer at a time.", MISTAKE)
-    if isinstance(problem, OSError):
-        named = f": {problem.filename}" if problem.filename is not None else ""
-        sentence = f"{problem.strerror}{named}." if problem.strerror else str(problem)
-        return _said(f"error: {sentence}", MISTAKE)
-    if isinstance(problem, GelformError):
-        return _said(f"error: {problem}", MISTAKE)
-    where = _place(problem)
-    return _said(
-        f"bug: {type(problem).__name__}: {problem} ({where}). This is a mistake in gelform, not in your input. Please "
-        f"report it, with the output of the same command as `gelform {DEBUG} ...`.",
-        BUG,
-    )
-
-
-def _said(text: str, status: int) -> int:
+        text, status = "interrupted.", INTERRUPTED
+    elif isinstance(problem, MemoryError):
+        text = "error: not enough memory for this. Use smaller images, or fewer at a time."
+    elif isinstance(problem, OSError) and problem.strerror:
+        text = f"error: {problem.strerror}{'' if problem.filename is None else f': {problem.filename}'}."
+    elif isinstance(problem, OSError | GelformError):
+        text = f"error: {problem}"
+    else:
+        text, status = (
+            f"bug: {type(problem).__name__}: {problem} ({_place(problem)}). This is a mistake in gelform, not in your "
+            f"input. Please report it, with the output of the same command as `gelform {DEBUG} ...`.",
+            BUG,
+        )
     say(f"gelform: {in_options(one_line(text))}")
     return status
 
@@ -181,29 +176,30 @@ def only_writer(path: Path) -> Iterator[None]:
 
     if not path.parent.is_dir():  # the lock would make it
         raise DataError(f"Cannot write into {path.parent}: there is no such folder.")
-    lock = path.with_name(f".{path.name}.lock")
-    with ExitStack() as held:
-        try:
-            held.enter_context(FileLock(lock, timeout=0))
-        except Timeout as problem:
-            raise DataError(
-                f"Another gelform is making {path} now. Wait for it, or choose another name."
-            ) from problem
-        except OSError as problem:
-            raise DataError(f"Cannot write into {path.parent}: {problem.strerror or problem}.") from problem
-        try:
-            yield
-        finally:
-            with suppress(OSError):  # Windows deletes no open file, but the lock does there
-                lock.unlink()
+    lock = FileLock(path.with_name(f".{path.name}.lock"), timeout=0)
+    try:
+        lock.acquire()
+    except Timeout as problem:
+        raise DataError(
+            f"Another gelform is making {path} now. Wait for it, or choose another name."
+        ) from problem
+    except OSError as problem:
+        raise DataError(f"Cannot write into {path.parent}: {problem.strerror or problem}.") from problem
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # Windows deletes no open file, but the lock does there
+            os.unlink(lock.lock_file)
+        lock.release()
 
 
 def status_of(tally: FrameTally, *, accept_doubtful: bool, quiet: bool) -> int:
     """Say the findings and errors of all frames; return the exit status."""
     by_count = sorted(tally.findings.items(), key=lambda one: (-one[1], one[0]))
     if by_count:
-        shares = ", ".join(f"{name} {_percent(count, tally.frames)}" for name, count in by_count)
-        say(f"Findings in {tally.frames} frames: {shares}.", quiet)
+        percents = [(name, 100 * count / tally.frames) for name, count in by_count]
+        shares = [f"{name} {'under 1' if percent < 1 else f'{percent:.0f}'} %" for name, percent in percents]
+        say(f"Findings in {tally.frames} frames: {', '.join(shares)}.", quiet)
     if tally.failed:
         kind, count = max(tally.reasons.items(), key=lambda one: one[1])
         all_of = f"{tally.failed} of {tally.frames + tally.failed} frames failed"
@@ -222,8 +218,3 @@ def status_of(tally: FrameTally, *, accept_doubtful: bool, quiet: bool) -> int:
     if tally.failed:
         return MISTAKE
     return 0 if accept_doubtful else DOUBT
-
-
-def _percent(count: int, frames: int) -> str:
-    share = 100 * count / frames
-    return "under 1 %" if share < 1 else f"{share:.0f} %"

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from math import isfinite
-from os import PathLike
-from pathlib import Path
+from os import PathLike, sep
 from types import TracebackType
 from typing import Any, Protocol
 
@@ -173,8 +172,8 @@ def _without_settings(
     if is_film(str(path)) or path.suffix.lower() in FILM_SUFFIXES:
         film = open_film(path, rate_hz=rate_hz)
         return Playback(film, film.camera, paced=paced)
-    if path.parent != Path() and not str(path).startswith("/dev/"):
-        raise DataError(f"No file or folder {path}. Check the path.")
+    if {"/", sep} & set(str(spec)) and not str(spec).startswith("/dev/"):  # "seq/" too
+        raise DataError(f"No file or folder {spec}. Check the path.")
     return None
 
 

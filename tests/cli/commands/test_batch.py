@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from gelform.cli.commands.batch import _line
+from gelform.cli.process import status_of
+from gelform.foundations.findings import FrameTally
 from hostile.commands import make_work
 
 
@@ -49,24 +51,36 @@ def test_every_frame_failed_for_a_reason_that_is_said(run, work, tmp_path):
         image = cv2.imread(str(work / f"image{k}.png"))
         cv2.imwrite(str(tmp_path / "in" / f"{k}.png"), np.ascontiguousarray(image[:, ::-1]))
     (tmp_path / "in" / "empty.png").write_bytes(b"")
-    code, out, err = run("batch", tmp_path / "in", "-c", work / "cal.npz", "-o", tmp_path / "out", "--json")
+    command = ("batch", tmp_path / "in", "-c", work / "cal.npz", "-o", tmp_path / "out")
+    code, out, err = run(*command, "--json")
     assert code == 1
     tally = json.loads(out)["tally"]
     assert (tally["frames"], tally["failed"], sorted(tally["reasons"].values())) == (0, 4, [1, 3])
     assert "4 of 4 frames failed. The commonest reason (3 frames): The image is mirrored" in err
+    said = run(*command)[2]
+    assert "has a row for each frame.\n" in said, "and no sheet of depth to look at"
 
 
-def test_frames_of_another_sensor_are_no_success(run, foreign_images, calibration_file, tmp_path):
-    command = ("batch", foreign_images, "-c", calibration_file, "-o", tmp_path / "out", "--table", "csv")
-    code, out, err = run(*command, "--json")
-    tally = json.loads(out)["tally"]
-    assert (code, tally["frames"], tally["doubtful"], tally["failed"]) == (3, 4, 4, 0)
+@pytest.mark.parametrize("command", ["batch", "reconstruct", "bag"])
+def test_frames_of_another_sensor_are_no_success(run, foreign_images, calibration_file, tmp_path, command):
+    if command == "bag":
+        pytest.importorskip("rosbags", reason="the extra ros is not installed")
+        pytest.importorskip("mcap", reason="the extra mcap is not installed")
+    more = ("--table", "csv") if command == "batch" else ()
+    given = (command, foreign_images, "-c", calibration_file, *more, "-o")
+    code, out, err = run(*given, tmp_path / "out", "--json")
+    assert code == 3
     assert "the depth of 4 of 4 frames is doubtful (background_differs in 4)" in err
-    with (tmp_path / "out" / "frames.csv").open() as file:
-        assert min(float(row["deepest_mm"]) for row in csv.DictReader(file)) > 1.5, "and it is 0.4"
-    code, _, err = run(*command, "--accept-doubtful")
-    assert code == 0, "frames of earlier runs count too"
-    assert "Findings in 4 frames: background_differs 100 %" in err
+    if command == "batch":
+        with (tmp_path / "out" / "frames.csv").open() as file:
+            assert min(float(row["deepest_mm"]) for row in csv.DictReader(file)) > 1.5, "and it is 0.4"
+    if command != "reconstruct":
+        tally = json.loads(out)["tally"]
+        assert [tally[name] for name in ("frames", "doubtful", "failed", "unknown")] == [4, 4, 0, 0]
+    again = tmp_path / ("out" if command == "batch" else "again")  # frames of earlier runs count too
+    code, _, err = run(*given, again, "--accept-doubtful")
+    assert code == 0
+    assert command == "reconstruct" or "Findings in 4 frames: background_differs 100 %" in err
 
 
 def test_half_of_the_frames_in_doubt_are_not_most(run, work, tmp_path):
@@ -80,49 +94,18 @@ def test_half_of_the_frames_in_doubt_are_not_most(run, work, tmp_path):
         assert run("batch", tmp_path / "in", *how)[0] == code
 
 
-def test_the_table_is_csv_where_parquet_cannot_be_written(run, work, images, tmp_path, monkeypatch):
+def test_the_table_is_csv_where_parquet_cannot_be_written(works, work, images, tmp_path, monkeypatch):
     monkeypatch.setattr("gelform.batch.records.find_spec", lambda name: None)
     for more, said in (((), True), (("--table", "csv"), False)):
         out = tmp_path / f"out{said}"
-        code, _, err = run("batch", images, "-c", work / "cal.npz", "-o", out, *more)
-        assert code == 0
+        err = works("batch", images, "-c", work / "cal.npz", "-o", out, *more)[1]
         assert ("The table is CSV, because pyarrow (the extra data) is not installed." in err) is said
         assert (out / "frames.csv").exists()
 
 
-def test_images_in_the_order_of_opencv(run_json, fails, work, images, tmp_path):
-    (tmp_path / "in").mkdir()
-    for path in work.glob("image*.png"):
-        image = cv2.imread(str(path))
-        cv2.imwrite(str(tmp_path / "in" / path.name), image[..., ::-1])
-    command = ("batch", tmp_path / "in", "-c", work / "cal.npz", "-o", tmp_path / "out")
-    assert run_json(*command, "--bgr")["errors"] == 0
-    straight = run_json("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "rgb")
-    assert straight["errors"] == 0
-    ours, theirs = (sorted((tmp_path / one / "frames").rglob("*.npz")) for one in ("out", "rgb"))
-    assert len(ours) == len(theirs) == 3
-    for one, other in zip(ours, theirs):
-        with np.load(one) as mine, np.load(other) as wanted:
-            np.testing.assert_array_equal(mine["depth_mm"], wanted["depth_mm"])
-    assert "bgr" in fails(*command)
-
-
-def test_a_shard_says_that_others_are_to_come(run, work, images, tmp_path):
-    code, _, err = run("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out", "--shard", "2/2")
-    assert code == 0
+def test_a_shard_says_that_others_are_to_come(works, work, images, tmp_path):
+    err = works("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out", "--shard", "2/2")[1]
     assert "This shard is done" in err
-
-
-def test_wrong_usage(fails, work, images, tmp_path):
-    for wrong, said in (
-        (["--shard", "3/2"], "expected i/N"),
-        (["--shard", "half"], "expected i/N"),
-        (["--format", "exr"], "Expected a format among npz, png"),
-        (["--keep", "all,depth"], "Expected maps to keep"),
-        (["--solver", "fast"], "Expected a solver among auto"),
-    ):
-        line = fails("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out", *wrong, status=2)
-        assert said in " ".join(line.replace("│", " ").split())
 
 
 def test_what_does_not_fit_is_refused_in_one_line(run, fails, work, imported, images, tmp_path):
@@ -149,9 +132,8 @@ def output(run, work, images, tmp_path):
     return tmp_path / "out"
 
 
-def test_a_whole_output_has_no_problem(run, run_json, fails, output, tmp_path):
-    code, _, err = run("verify", output)
-    assert code == 0
+def test_a_whole_output_has_no_problem(works, run_json, fails, output, tmp_path):
+    err = works("verify", output)[1]
     assert "3 frames are complete, 0 have an error, 0 problems." in err
     assert run_json("verify", output) == {"frames": 3, "errors": 0, "problems": []}
     assert "Expected the output folder of gelform batch" in fails("verify", tmp_path / "absent")
@@ -165,3 +147,37 @@ def test_what_is_wrong_is_listed_and_the_status_is_1(run, output):
     code, out, _ = run("verify", output, "--json")
     assert code == 1
     assert json.loads(out)["frames"] == 2
+
+
+GOOD, DOUBTFUL, UNKNOWN = ([], True), (["beyond_gel"], True), (["not_this_gel"], False)
+
+
+@pytest.mark.parametrize(
+    ("frames", "failed", "status", "accepted"),
+    [
+        ([GOOD, DOUBTFUL], 0, 0, 0),
+        ([GOOD, DOUBTFUL, DOUBTFUL], 0, 3, 0),
+        ([GOOD, UNKNOWN, UNKNOWN], 0, 3, 0),
+        ([UNKNOWN], 0, 1, 1),
+        ([GOOD], 1, 1, 1),
+        ([DOUBTFUL], 1, 1, 1),
+        ([], 2, 1, 1),
+        ([], 0, 0, 0),
+    ],
+)
+def test_what_the_frames_make_of_the_status(frames, failed, status, accepted):
+    tally = FrameTally()
+    for names, known in frames:
+        tally.add(names, known=known)
+    for _ in range(failed):
+        tally.add_failed("it is empty")
+    assert status_of(tally, accept_doubtful=False, quiet=True) == status
+    assert status_of(tally, accept_doubtful=True, quiet=True) == accepted
+
+
+def test_few_frames_are_no_zero_percent(capsys):
+    tally = FrameTally()
+    for k in range(300):
+        tally.add(["steep"] * (k == 0), known=True)
+    status_of(tally, accept_doubtful=False, quiet=False)
+    assert capsys.readouterr().err == "Findings in 300 frames: steep under 1 %.\n"

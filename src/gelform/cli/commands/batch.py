@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from datetime import timedelta
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,18 +15,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import progress_shown, say
+from gelform.cli import options
+from gelform.cli.console import ShownOption, say
 from gelform.cli.files import Inputs
-from gelform.cli.options import AcceptDoubtful, Dataset, ShownOption, one_of, usage_errors
-from gelform.cli.process import MISTAKE
+from gelform.cli.options import one_of, usage_errors
+from gelform.cli.process import MISTAKE, status_of
 from gelform.result.maps import KEPT_MAPS
 
 if TYPE_CHECKING:
-    from gelform.batch import BatchSettings, BatchSummary, Engine
-
-
-SHOWN_PROBLEMS = 20  # problems that gelform verify prints; --json gives all
-LINE_EVERY_S = 30.0  # s between lines of progress, if standard error is a file
+    from gelform.batch import BatchSummary
 
 
 def _shard(text: str) -> tuple[int, int]:
@@ -46,79 +44,10 @@ class Frames(Inputs):
             help="Gel at rest: an image, a folder of several, or a table of sequence,background.",
         ),
     ] = None
-    dataset: Dataset = ""
+    dataset: options.Dataset = ""
     background_frames: Annotated[
         int, Option(metavar="N", min=0, help="Average the first N frames of each sequence as its background.")
     ] = 0
-
-
-@dataclass(frozen=True)
-class Results:
-    """The maps to compute and the form of the output."""
-
-    form: Annotated[
-        str,
-        Option("--format", help="npz, png (depth in 16 bits), zarr, hdf5, lerobot (its input with depth)."),
-    ] = "npz"
-    dtype: Annotated[
-        str | None, Option(help="For zarr and hdf5: float32, or uint16 (depth only, 0.1 um per step).")
-    ] = None
-    table: Annotated[str, Option(help="parquet or csv; auto: parquet if pyarrow is installed.")] = "auto"
-    keep: Annotated[str, Option(help=f"Maps to save: {', '.join(KEPT_MAPS)}; all: whole results.")] = (
-        "depth,known"
-    )
-    solver: Annotated[str, Option(help="Solver from slopes to depth; auto chooses.")] = "auto"
-
-    def settings(self, frames: Frames) -> BatchSettings:
-        """The settings of the batch; raises a usage error for invalid ones."""
-        from gelform.batch import BatchSettings
-
-        maps = tuple(dict.fromkeys(one.strip() for one in self.keep.split(",") if one.strip()))
-        with usage_errors():
-            return BatchSettings(
-                self.form,
-                maps,
-                self.solver,
-                frames.background_frames,
-                dtype=self.dtype or "",
-                bgr=frames.bgr,
-            )
-
-
-@dataclass(frozen=True)
-class Machines:
-    """The processes that do the work."""
-
-    workers: Annotated[int, Option(min=1, metavar="N", help="Number of processes; for Ray, of CPUs.")] = 1
-    engine: Annotated[str, Option(help="pool (processes on this machine) or ray.")] = "pool"
-    address: Annotated[
-        str | None, Option(metavar="ADDRESS", help="Address of a running Ray cluster, such as auto.")
-    ] = None
-    shard: Annotated[
-        Any, Option(metavar="I/N", parser=_shard, help="Do only the I-th of N shares, for a job array.")
-    ] = "1/1"
-
-    def made(self) -> Engine:
-        """The engine; raises a usage error for an unknown one."""
-        from gelform.batch import Engine
-
-        with usage_errors():
-            return Engine(self.engine, self.workers, self.address)
-
-
-@dataclass(frozen=True)
-class Run:
-    """How a run continues an earlier one, and when it ends."""
-
-    max_errors: Annotated[
-        int, Option(min=0, metavar="N", help="End the run when more frames than this have errors.")
-    ] = 1000
-    retry_errors: Annotated[
-        bool, Option("--retry-errors", help="Process again the parts that had errors.")
-    ] = False
-    overwrite: Annotated[
-        bool, Option("--overwrite", help="Delete the earlier batch there, and start again.")
-    ] = False
 
 
 def batch(
@@ -130,11 +59,36 @@ def batch(
         ),
     ],
     given: Frames,
-    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
-    results: Results,
-    machines: Machines,
-    run: Run,
-    accept_doubtful: AcceptDoubtful = False,
+    output: options.ResultFolder,
+    form: Annotated[
+        str, Option("--format", help="npz, png (16-bit depth), zarr, hdf5, lerobot (its input with depth).")
+    ] = "npz",
+    dtype: Annotated[
+        str | None, Option(help="For zarr and hdf5: float32, or uint16 (depth only, 0.1 um per step).")
+    ] = None,
+    table: Annotated[str, Option(help="parquet or csv; auto: parquet if pyarrow is installed.")] = "auto",
+    keep: Annotated[str, Option(help=f"Maps to save: {', '.join(KEPT_MAPS)}; all: whole results.")] = (
+        "depth,known"
+    ),
+    solver: options.Solver = "auto",
+    workers: Annotated[int, Option(min=1, metavar="N", help="Number of processes; for Ray, of CPUs.")] = 1,
+    engine: Annotated[str, Option(help="pool (processes on this machine) or ray.")] = "pool",
+    address: Annotated[
+        str | None, Option(metavar="ADDRESS", help="Address of a running Ray cluster, such as auto.")
+    ] = None,
+    shard: Annotated[
+        Any, Option(metavar="I/N", parser=_shard, help="Do only the I-th of N shares, for a job array.")
+    ] = "1/1",
+    max_errors: Annotated[
+        int, Option(min=0, metavar="N", help="End the run when more frames than this have errors.")
+    ] = 1000,
+    retry_errors: Annotated[
+        bool, Option("--retry-errors", help="Process again the parts that had errors.")
+    ] = False,
+    overwrite: Annotated[
+        bool, Option("--overwrite", help="Delete the earlier batch there, and start again.")
+    ] = False,
+    accept_doubtful: options.AcceptDoubtful = False,
     shown: ShownOption,
 ) -> None:
     """Reconstruct every frame of a data set.
@@ -160,12 +114,16 @@ def batch(
       gelform batch sessions/ --sensor gelsight-mini --background rest.png -o depth
       gelform batch sessions/ -c cal.npz -o depth --shard 3/16
     """
-    from gelform.batch import RunOptions, run_batch
+    from gelform.batch import BatchSettings, Engine, RunOptions, run_batch
     from gelform.calibration.library.library import NoCalibration
-    from gelform.cli.process import status_of
 
-    settings = results.settings(given)
-    table = one_of(results.table, ("auto", "parquet", "csv"), "--table")
+    one_of(table, ("auto", "parquet", "csv"), "--table")
+    maps = tuple(dict.fromkeys(one.strip() for one in keep.split(",") if one.strip()))
+    with usage_errors():
+        settings = BatchSettings(
+            form, maps, solver, given.background_frames, dtype=dtype or "", bgr=given.bgr
+        )
+        machines = Engine(engine, workers, address)
     with _progress(shown.silent) as progress:
         work = partial(
             run_batch,
@@ -175,8 +133,8 @@ def batch(
             background=given.background,
             dataset=given.dataset,
             table=table,
-            engine=machines.made(),
-            options=RunOptions(shard=machines.shard, **vars(run)),
+            engine=machines,
+            options=RunOptions(max_errors, retry_errors, overwrite, shard),
             progress=progress,
             chosen=shown.say,
         )
@@ -185,7 +143,7 @@ def batch(
         except NoCalibration as problem:
             summary = work(calibration=given.starter("", problem, shown.silent))
     shown.json({"output": output, **asdict(summary)})
-    _report(summary, output, run.max_errors, shown.silent)
+    _report(summary, output, max_errors, shown.silent)
     if table == "auto" and summary.complete and summary.table.endswith(".csv"):
         shown.say("The table is CSV, because pyarrow (the extra data) is not installed.")
     raise typer.Exit(status_of(summary.tally, accept_doubtful=accept_doubtful, quiet=shown.silent))
@@ -201,7 +159,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[BatchSummary], None]]:
         nonlocal last, before
         now = time.monotonic()
         before = summary.parts_done - 1 if before < 0 else before
-        if quiet or now - last < (0.2 if on_screen else LINE_EVERY_S):
+        if quiet or now - last < (0.2 if on_screen else 30):  # s
             return
         last = now
         line = _line(summary, now - begin, summary.parts_done - before)
@@ -214,12 +172,11 @@ def _progress(quiet: bool) -> Iterator[Callable[[BatchSummary], None]]:
 
 def _line(summary: BatchSummary, seconds: float, parts: int) -> str:
     """Parts, rate, time left, errors so far."""
-    left_s = (summary.parts - summary.parts_done) * seconds / parts
-    minutes, rest = divmod(round(left_s), 60)
-    left = f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
-    rate = summary.frames / max(seconds, 1e-9)
-    errors = f"{summary.errors} with errors"
-    return f"{summary.parts_done} of {summary.parts} parts, {rate:.1f} frames/s, {left} left, {errors}"
+    left = timedelta(seconds=round((summary.parts - summary.parts_done) * seconds / parts))
+    done = (
+        f"{summary.parts_done} of {summary.parts} parts, {summary.frames / max(seconds, 1e-9):.1f} frames/s"
+    )
+    return f"{done}, {left} left, {summary.errors} with errors"
 
 
 def _report(summary: BatchSummary, output: Path, max_errors: int, quiet: bool) -> None:
@@ -233,10 +190,9 @@ def _report(summary: BatchSummary, output: Path, max_errors: int, quiet: bool) -
             f"finished parts and the reasons are in {output / 'parts'}. Fix the files or allow more errors, and run again."
         )
     elif summary.complete:
-        say(
-            f"Complete: {output / summary.table} has a row for each frame; look at {output / 'sheet.png'}.",
-            quiet,
-        )
+        sheet = output / "sheet.png"  # not written where no frame has depth
+        look = f"; look at {sheet}" if sheet.exists() else ""
+        say(f"Complete: {output / summary.table} has a row for each frame{look}.", quiet)
         if summary.errors:
             say(
                 "The column error gives the reasons. Fix the frames and run again with --retry-errors.", quiet
@@ -264,15 +220,13 @@ def verify(
     """
     from gelform.batch import verify_output
 
-    with progress_shown(shown.silent) as progress:
+    with shown.progress() as progress:
         good, errors, problems = verify_output(output, progress)
-    listed = [{"path": str(one.path), "what": one.what} for one in problems]
-    shown.json({"frames": good, "errors": errors, "problems": listed})
-    if not shown.as_json:
-        for one in problems[:SHOWN_PROBLEMS]:
-            say(f"gelform: error: {one.path}: {one.what}")
-        if len(problems) > SHOWN_PROBLEMS:
-            say(f"{len(problems) - SHOWN_PROBLEMS} more; all with --json.")
+    shown.json({"frames": good, "errors": errors, "problems": list(map(asdict, problems))})
+    for one in problems[:20]:
+        say(f"gelform: error: {one.path}: {one.what}", shown.as_json)
+    if more := problems[20:]:
+        say(f"{len(more)} more; all with --json.", shown.as_json)
     say(f"{good} frames are complete, {errors} have an error, {len(problems)} problems.", shown.silent)
     if problems:
         raise typer.Exit(MISTAKE)

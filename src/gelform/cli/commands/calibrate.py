@@ -1,35 +1,33 @@
-"""gelform calibrate: presses of a ball to a calibration; gelform starter: one without a press."""
+"""gelform calibrate: presses of a ball to a calibration; gelform starter: one without a press.
+
+gelform scale, lens and crosstalk measure before, from objects of known size, and from the gel under single LEDs.
+"""
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-from typer import Argument, Option
+from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import figure, say, show_table
-from gelform.cli.files import REPORT_FILES, check_output, check_report_folder, content_of, write_report
-from gelform.cli.options import (
-    COLOR_MODELS,
-    STARTERS,
-    Bgr,
-    MmPerPx,
-    NewCalibration,
-    Overwrite,
-    PressOptions,
-    ShownOption,
-    listed,
-    numbers,
-    one_of,
+import gelform
+from gelform import DataError
+from gelform.cli import options
+from gelform.cli.console import ShownOption, figure, say
+from gelform.cli.files import (
+    REPORT_FILES,
+    check_output,
+    check_results,
+    content_of,
+    starter_calibration,
+    write_report,
 )
-from gelform.cli.process import only_writer
-from gelform.errors import DataError
+from gelform.cli.options import listed, number, numbers, one_of
+from gelform.cli.process import mistakes_in, only_writer
 
-if TYPE_CHECKING:
-    from gelform.calibration_file import Calibration
-
-MODELS = ("auto", *COLOR_MODELS)
+Place = Annotated[Path, Argument(metavar="PLACE", help="Press folder, or its sensor.toml, to write into.")]
+MODELS = ("auto", *options.COLOR_MODELS)
 
 
 def calibrate(
@@ -37,7 +35,7 @@ def calibrate(
     presses: Annotated[
         Path, Argument(metavar="PRESSES", help="Ball presses: a folder, a video or a recording.")
     ],
-    output: NewCalibration,
+    output: options.NewCalibration,
     model: Annotated[str, Option(metavar="NAME", help=f"Color model: {listed(MODELS)}.")] = "auto",
     start: Annotated[
         str,
@@ -47,24 +45,20 @@ def calibrate(
             "starter; none.",
         ),
     ] = "auto",
-    given: PressOptions,
+    given: options.PressOptions,
     crop: Annotated[
-        str | None,
-        Option(metavar="L,T,W,H", help="Part of the frame to use as image: left,top,width,height, px."),
+        str | None, Option(metavar="L,T,W,H", help="Part of the frame as image: left,top,width,height, px.")
     ] = None,
     report: Annotated[
-        Path | None,
-        Option(metavar="DIR", help="Folder for a report on the calibration's quality and the next steps."),
+        Path | None, Option(metavar="DIR", help="Folder for a report on quality and next steps.")
     ] = None,
     compare: Annotated[
-        bool,
-        Option("--compare", help="Also try every color model on the same presses, for the report's table."),
+        bool, Option("--compare", help="Also try every color model on these presses, for the report's table.")
     ] = False,
     verbose: Annotated[
-        bool,
-        Option("--verbose", "-v", help="Also show rejected presses, models, all held-out errors and notes."),
+        bool, Option("--verbose", "-v", help="Also show rejected presses, models, held-out errors and notes.")
     ] = False,
-    overwrite: Overwrite = False,
+    overwrite: options.Overwrite = False,
     shown: ShownOption,
 ) -> None:
     """Calibrate a sensor from presses of a ball.
@@ -91,90 +85,76 @@ def calibrate(
     box = None if crop is None else numbers(crop, "LEFT,TOP,WIDTH,HEIGHT", "--crop")
     check_output(output, overwrite=overwrite)
     if report is not None:
-        check_report_folder(report, overwrite)
-    from gelform.calibration.fit import calibrate as calibrate_presses
-    from gelform.calibration.presses.folder import read_presses
+        check_output(report / REPORT_FILES[0], overwrite=True)
+        check_results([report / name for name in REPORT_FILES], overwrite=overwrite)
+    from gelform.calibration.report.record import used_in_words
 
     with only_writer(output), shown.progress() as progress:
-        found = read_presses(
-            presses,
-            **vars(given),
-            crop=box,  # type: ignore[arg-type]
-            progress=progress,
-        )
-        calibration = calibrate_presses(
-            found,
-            color_model=model,
-            start=None if start == "none" else start,
-            compare=compare,
-            progress=progress,
+        found = gelform.read_presses(presses, **vars(given), crop=box, progress=progress)  # type: ignore[arg-type]
+        given_start = None if start == "none" else start
+        calibration = gelform.calibrate(
+            found, color_model=model, start=given_start, compare=compare, progress=progress
         )
         calibration.save(output, overwrite=overwrite)
         content = content_of(found, calibration, progress, with_learning=report is not None)
         if report is not None:
             try:
-                write_report(content, found, calibration, report, overwrite=overwrite)
+                write_report(content, found, calibration, report, overwrite)
             except DataError as problem:
                 raise DataError(f"Wrote {output}, but not its report. {problem}") from problem
     verdict = content["verdict"]
-    if verbose and not shown.silent:
-        _show(calibration)
+    if verbose:
+        _show(calibration, shown)
     shown.say(f"{verdict['headline']}.")
     marks = " (--report DIR shows these places.)" if report is None and "1, 2, 3" in verdict["next"] else ""
     shown.say(f"Next: {verdict['next']}{marks}")
-    shown.say(_figures(calibration, verbose))
+    made = calibration.report
+    in_contact, off_contact = (figure(made.held_out.get(name)) for name in ("cap_free_um", "off_contact_um"))
+    more = "" if verbose else " (all tables: --verbose)"
+    shown.say(
+        f"{calibration.sensor_name}: {used_in_words(made.presses)}; depth on held-out presses is off by {in_contact} um in "
+        f"the contact, {off_contact} um off it{more}."
+    )
     wrote = f"{output}{f' and {report / REPORT_FILES[0]}' if report else ''}"
     shown.say(f"Wrote {wrote} in {time.monotonic() - began:.0f} s.")
     serial = "" if calibration.serial else " --serial SERIAL"
     shown.say(f"To let commands find it without -c: gelform calibrations add {output}{serial}")
-    shown.json({"calibration": str(output), **calibration.report.to_dict(), "verdict": verdict})
+    shown.json({"calibration": str(output), **made.to_dict(), "verdict": verdict})
 
 
-def _figures(calibration: Calibration, verbose: bool) -> str:
-    """Three figures in a line: presses, and the depth errors on held-out ones; the verdict has the angle."""
-    from gelform.calibration.report.record import used_in_words
-
-    presses, held_out = calibration.report.presses, calibration.report.held_out
-    in_contact, off_contact = (figure(held_out.get(name)) for name in ("cap_free_um", "off_contact_um"))
-    more = "" if verbose else " (all tables: --verbose)"
-    return (
-        f"{calibration.sensor_name}: {used_in_words(presses)}; depth on held-out presses is off by {in_contact} um in the "
-        f"contact, {off_contact} um off it{more}."
-    )
-
-
-def _show(calibration: Calibration) -> None:
+def _show(calibration: gelform.Calibration, shown: ShownOption) -> None:
     from gelform.calibration.report.record import FIGURES
 
     report = calibration.report
     rejected = [(row.name, row.reason) for row in report.presses if row.reason and not row.repeats]
-    if rejected:
-        show_table("Rejected presses", ("press", "reason"), rejected)
+    shown.table("Rejected presses", ("press", "reason"), rejected)
     tried = [
         (one["candidate"] + (" (chosen)" if one["chosen"] else ""), one["normal_free_deg"])
         for one in report.candidates
     ]
-    show_table("Color models tried", ("model", "held-out normal error (°)"), tried)
+    shown.table("Color models tried", ("model", "held-out normal error (°)"), tried)
     saved = report.held_out_saved.items()
     held_out = [(FIGURES[name], error, report.held_out[name]) for name, error in saved]
     columns = ("held-out error", "saved model", "whole procedure")
-    show_table("Errors on held-out presses", columns, held_out)
+    shown.table("Errors on held-out presses", columns, held_out)
     for note in report.notes:
-        say(f"note: {note}")
+        say(f"note: {note}", shown.silent)
 
 
 def starter(
     *,
-    sensor: Annotated[str, Argument(metavar="SENSOR", help=f"Make of the sensor: {listed(STARTERS)}.")],
+    sensor: Annotated[
+        str, Argument(metavar="SENSOR", help=f"Make of the sensor: {listed(options.STARTERS)}.")
+    ],
     background: Annotated[
         Path, Option(metavar="IMG|DIR", help="The unit's gel at rest: an image, or a folder of several.")
     ],
-    output: NewCalibration,
-    bgr: Bgr = False,
-    mm_per_px: MmPerPx = None,
+    output: options.NewCalibration,
+    bgr: options.Bgr = False,
+    mm_per_px: options.MmPerPx = None,
     serial: Annotated[str | None, Option(metavar="TEXT", help="Serial number of the unit.")] = None,
     gel: Annotated[str | None, Option(metavar="TEXT", help="Name of its gel.")] = None,
-    overwrite: Overwrite = False,
+    overwrite: options.Overwrite = False,
     shown: ShownOption,
 ) -> None:
     """Make a calibration of a sensor without any press.
@@ -189,18 +169,154 @@ def starter(
       gelform starter digit --background rest/ -o unit.npz --serial D20123
       gelform reconstruct frame.png -c unit.npz -o out
     """
-    one_of(sensor, STARTERS, "SENSOR")
+    one_of(sensor, options.STARTERS, "SENSOR")
     check_output(output, overwrite=overwrite)
-    from gelform.cli.files import starter_calibration
-
     calibration = starter_calibration(
         sensor, background, bgr=bgr, mm_per_px=mm_per_px, serial=serial, gel_id=gel
     )
     calibration.save(output, overwrite=overwrite)
-    if not shown.silent:
-        for finding in calibration.findings:
-            say(f"note: {finding.message}")
+    for finding in calibration.findings:
+        say(f"note: {finding.message}", shown.silent)
     shown.say(f"Wrote {output}.")
     described = calibration.describe()
     kept = ("sensor_name", "serial", "gel_id", "image_shape", "mm_per_px", "settings", "digest")
     shown.json({"calibration": str(output), **{key: described[key] for key in kept}})
+
+
+def scale(
+    *,
+    place: Annotated[
+        Path, Argument(metavar="PLACE", help="Press folder, its sensor.toml, or an imported calibration.")
+    ],
+    points: Annotated[
+        list[str] | None,
+        Option(
+            metavar="X1,Y1,X2,Y2,MM",
+            help="Two marked points of the image, px, and their distance; may be repeated.",
+        ),
+    ] = None,
+    stage: Annotated[
+        list[str] | None,
+        Option(
+            metavar="A,B,MM",
+            help="Two images of one object, and the stage's step between them; may be repeated.",
+        ),
+    ] = None,
+    sensor: options.Sensor = None,
+    background: options.Background = None,
+    shown: ShownOption,
+) -> None:
+    """Measure mm per pixel, for `calibrate`.
+
+    Writes the scale into the folder's sensor.toml, where `calibrate` reads it.
+
+    The images are camera frames, read through the existing [view]. Several measurements are averaged, weighted by their
+    uncertainty. If they contradict each other, nothing is written. Measure along x and along y: they show pixels that are
+    not square.
+
+    \b
+    Examples:
+      gelform scale presses/ --points 20,31.5,290,28,17.1
+      gelform scale presses/ --points 20,31,290,31,17.1 --points 100,20,100,210,12
+      gelform scale presses/ --stage left.png,right.png,4 --background rest.png
+      gelform scale imported.npz --points 20,31.5,290,28,17.1
+    """
+    if not points and not stage:
+        raise BadParameter("expected --points, --stage or both.", param_hint="scale")
+    marked = [numbers(text, "X1,Y1,X2,Y2,MM", "--points") for text in points or ()]
+    pressed = []
+    for text in stage or ():
+        *paths, length = text.split(",")
+        if len(paths) != 2:
+            raise BadParameter(f"expected A,B,MM, got {text!r}.", param_hint="--stage")
+        pressed.append((map(Path, paths), numbers(length, "MM", "--stage")[0]))
+    from gelform.calibration.geometry.files import read_setup, save_scale, width_note
+
+    with mistakes_in("--points"):
+        scales = [gelform.scale_from_points((x1, y1), (x2, y2), mm) for x1, y1, x2, y2, mm in marked]
+    if pressed:
+        setup = read_setup(place, background=background, sensor=sensor)
+        with mistakes_in("--stage"):
+            for images, step_mm in pressed:
+                first, second = map(setup.image, images)
+                scales.append(gelform.scale_from_stage(first, second, setup.background, step_mm))
+    found = gelform.combined_scale(scales)
+    written = save_scale(found, place)
+    if doubt := width_note(found.mm_per_px, place):
+        shown.say(f"note: {doubt}")
+    shown.say(f"{found.mm_per_px:.5g} +- {found.sigma:.2g} mm per pixel, from {found.source}.")
+    shown.say(f"Wrote {written}.")
+    measured = {"mm_per_px": found.mm_per_px, "mm_per_px_sigma": found.sigma}
+    shown.json({"file": written, **measured, "source": found.source})
+
+
+def lens(
+    *,
+    place: Place,
+    images: Annotated[
+        list[Path], Option("--image", metavar="IMG", help="Whole frame with the grid; may be repeated.")
+    ],
+    grid: Annotated[str, Option(metavar="CxR", help="Inner corners of the grid, such as 9x6; or its dots.")],
+    pitch_mm: Annotated[float, number("Pitch of the grid, mm.")],
+    dots: Annotated[bool, Option("--dots", help="The grid has dots, not a checkerboard.")] = False,
+    shown: ShownOption,
+) -> None:
+    """Measure the lens, so that `calibrate` undoes it.
+
+    Measures distortion, perspective and scale. The first image shows a printed grid on the gel. Further images, tilted or
+    moved, improve the distortion only. The results are added to sensor.toml.
+
+    \b
+    Examples:
+      gelform lens presses/ --image grid.png --grid 9x6 --pitch-mm 1
+      gelform lens presses/sensor.toml --image flat.png --image tilted.png --grid 12x9 --pitch-mm 0.8 --dots
+    """
+    try:
+        columns, rows = (int(count) for count in grid.split("x"))
+    except ValueError:
+        raise BadParameter(f"expected COLUMNSxROWS, got {grid!r}.", param_hint="--grid") from None
+    from gelform.calibration.geometry.files import save_grid_view
+
+    frames = [gelform.read_image(path) for path in images]
+    with mistakes_in("--image, --grid"):
+        found = gelform.view_from_grid(
+            frames, pattern=(columns, rows), pitch_mm=pitch_mm, kind="dots" if dots else "checkerboard"
+        )
+    file = save_grid_view(found, place)
+    shown.say(f"{found.describe()}.")
+    shown.say(f"Wrote {file}.")
+    known = {"mm_per_px": found.scale.mm_per_px, "mm_per_px_sigma": found.scale.sigma}
+    shown.json({"file": file, "lens": found.describe(), **known, "residual_px": found.residual_px})
+
+
+def crosstalk(
+    *,
+    place: Place,
+    led_frames: Annotated[
+        tuple[Path, Path, Path],
+        Argument(metavar="R G B", help="Gel at rest under the red, green, blue LEDs alone."),
+    ],
+    bgr: options.Bgr = False,
+    shown: ShownOption,
+) -> None:
+    """Measure the crosstalk of the colors, for `calibrate`.
+
+    Each of three images shows the gel at rest under the LEDs of one color only. Their light in the other channels is
+    added to sensor.toml.
+
+    \b
+    Examples:
+      gelform crosstalk presses/ red.png green.png blue.png
+      gelform crosstalk presses/sensor.toml red.png green.png blue.png --json
+    """
+    from gelform.calibration.geometry.files import save_crosstalk
+    from gelform.sensors.files import read_sensor_toml
+
+    settings = read_sensor_toml(place / "sensor.toml" if place.is_dir() else place)
+    with mistakes_in("R G B"):
+        frames = [gelform.read_image(path, bgr=bgr) for path in led_frames]
+        found = gelform.crosstalk_from_frames(frames, response=settings.response)
+    file = save_crosstalk(found, place)
+    shown.say(f"{found.describe()}.")
+    shown.say(f"Wrote {file}.")
+    shown.json({"file": file, "crosstalk": found.describe(), "matrix": found.matrix})

@@ -12,18 +12,18 @@ Examples:
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import print_json, printable
-from gelform.cli.options import NewCalibration, Overwrite, ShownOption
-from gelform.errors import DataError
-
-if TYPE_CHECKING:
-    from gelform.calibration_file import Calibration
+import gelform
+from gelform import DataError
+from gelform.cli.console import ShownOption, print_json, printable
+from gelform.cli.files import check_output
+from gelform.cli.options import NewCalibration, Overwrite
 
 SUMMARY = "List, add, remove and export calibrations by serial."
 COLUMNS = {
@@ -56,29 +56,30 @@ def list_(
       gelform calibrations list --serial 2BKRXXXX --gel gel-3
       gelform calibrations list --json
     """
-    from gelform.calibration.library.library import date_of, entries, facts_of, library_folder
+    from gelform.calibration.library import library
     from gelform.foundations.files import DIGEST_SHOWN
 
-    folder = library_folder()
-    there = [one for one in entries(folder) if serial in (None, one.serial) and gel in (None, one.gel_id)]
+    folder = library.library_folder()
+    there = [
+        one for one in library.entries(folder) if serial in (None, one.serial) and gel in (None, one.gel_id)
+    ]
     if shown.as_json:
-        print_json({"folder": folder, "calibrations": [facts_of(one) for one in there]})
+        print_json({"folder": folder, "calibrations": [library.facts_of(one) for one in there]})
         return
     rows = [
         (
             one.sensor_name,
             one.serial,
             one.gel_id,
-            date_of(one.created_utc),
+            library.date_of(one.created_utc),
             *map(one.held_out.get, COLUMNS),
             one.digest[:DIGEST_SHOWN],
         )
         for one in there
         if not one.problem
     ]
-    if rows:
-        columns = ("sensor", "serial", "gel", "made (UTC)", *COLUMNS.values(), "digest")
-        shown.table(f"Calibrations in {folder}", columns, rows)
+    columns = ("sensor", "serial", "gel", "made (UTC)", *COLUMNS.values(), "digest")
+    shown.table(f"Calibrations in {folder}", columns, rows)
     for one in there:
         if one.problem:
             shown.say(f"damaged: {one.path.name}: {one.problem}")
@@ -105,11 +106,10 @@ def add(
       gelform calibrations add mini.npz --serial 2BKRXXXX --gel gel-3
     """
     from gelform.calibration.library.library import add_calibration
-    from gelform.calibration_file import load_calibration
 
     if serial is not None and len(files) > 1:
         raise BadParameter("belongs to one camera: add one file at a time.", param_hint="--serial")
-    loaded = [_named(load_calibration(path), path, serial, gel) for path in files]
+    loaded = [_named(path, serial, gel) for path in files]  # a refused one leaves the library as it is
     added = []
     for calibration in loaded:
         path, new = add_calibration(calibration)
@@ -122,10 +122,9 @@ def add(
     shown.json({"added": added})
 
 
-def _named(calibration: Calibration, path: Path, serial: str | None, gel: str | None) -> Calibration:
+def _named(path: Path, serial: str | None, gel: str | None) -> gelform.Calibration:
     """The calibration with the user's serial number and gel; DataError if the file states others."""
-    from dataclasses import replace
-
+    calibration = gelform.load_calibration(path)
     said: dict[str, Any] = {}
     for name, option, value in (("serial", "--serial", serial), ("gel_id", "--gel", gel)):
         known = getattr(calibration, name)
@@ -177,7 +176,6 @@ def export_(
       gelform calibrations export 2BKRXXXX --gel gel-2 -o gel-2.npz
     """
     from gelform.calibration.library.library import matching
-    from gelform.cli.files import check_output
     from gelform.foundations.files import written_file
 
     check_output(output, overwrite=overwrite)

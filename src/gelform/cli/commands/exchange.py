@@ -7,21 +7,14 @@ from typing import Annotated
 
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import say
+import gelform
+from gelform import DataError, result
+from gelform.cli import options
+from gelform.cli.console import ShownOption, say
 from gelform.cli.files import check_output
-from gelform.cli.options import (
-    PACKAGES,
-    Background,
-    MmPerPx,
-    NewCalibration,
-    Overwrite,
-    Quiet,
-    ShownOption,
-    listed,
-    one_of,
-)
+from gelform.cli.options import listed, one_of
 from gelform.cli.process import mistakes_in
-from gelform.errors import DataError
+from gelform.sensors.profiles import check_gel_width
 
 RENDERERS = ("taxim", "isaaclab")  # as in exporters.taxim, which the help does not import
 FILES = ("ply", "stl", "tiff", "png", "x3p")
@@ -30,15 +23,16 @@ FILES = ("ply", "stl", "tiff", "png", "x3p")
 def import_(
     *,
     file: Annotated[Path, Argument(metavar="FILE", help="The package's calibration file.")],
-    package: Annotated[str, Option("--from", metavar="PACKAGE", help=f"The package: {listed(PACKAGES)}.")],
-    output: NewCalibration,
-    background: Background = None,
-    mm_per_px: MmPerPx = None,
+    package: Annotated[
+        str, Option("--from", metavar="PACKAGE", help=f"The package: {listed(options.PACKAGES)}.")
+    ],
+    output: options.NewCalibration,
+    background: options.Background = None,
+    mm_per_px: options.MmPerPx = None,
     position: Annotated[
         str | None,
         Option(
-            metavar="zeros|true",
-            help="For gsrobotics: zeros, as in its own program, or the true positions.",
+            metavar="zeros|true", help="For gsrobotics: zeros, as in its own program, or the true positions."
         ),
     ] = None,
     flip_depth: Annotated[
@@ -49,7 +43,7 @@ def import_(
         Option("--range", metavar="LOW HIGH", help="For lut: differences that the table spans, gray levels."),
     ] = None,
     name: Annotated[str | None, Option(metavar="NAME", help="Name of the sensor.")] = None,
-    overwrite: Overwrite = False,
+    overwrite: options.Overwrite = False,
     shown: ShownOption,
 ) -> None:
     """Import a calibration that another package made.
@@ -65,22 +59,19 @@ def import_(
       gelform import table_smooth.npy --from lut --flip-depth --range -256 256 --background rest.png -o cal.npz
       gelform import table.mat --from lut --background rest.png -o cal.npz
     """
-    one_of(package, PACKAGES, "--from")
+    one_of(package, options.PACKAGES, "--from")
     if background is None:
         raise BadParameter(
             "needed: an image of the gel at rest; these files hold none.", param_hint="--background"
         )
-    from gelform.exchange.importers.calibrations import import_calibration
     from gelform.exchange.importers.tables import RANGE_LEVELS, is_matlab
-    from gelform.sensors.files import read_image
-    from gelform.sensors.profiles import check_gel_width
 
     check_output(output, overwrite=overwrite)
     with mistakes_in(file):
-        calibration = import_calibration(
+        calibration = gelform.import_calibration(
             file,
             package,
-            background=read_image(background),
+            background=gelform.read_image(background),
             mm_per_px=mm_per_px,
             position=position,
             flip_depth=flip_depth,
@@ -118,11 +109,10 @@ def export(
         str, Option("--to", help="taxim, isaaclab (a calibration); ply, stl, tiff, png, x3p (a result).")
     ],
     output: Annotated[
-        Path | None,
-        Option("--output", "-o", metavar="DIR|FILE", help="A new folder (calibration); a file (result)."),
+        Path | None, options.output("DIR|FILE", "A new folder (calibration); a file (result).")
     ] = None,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
+    overwrite: options.Overwrite = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Write a calibration or a result for another program.
 
@@ -139,26 +129,24 @@ def export(
     """
     from gelform.calibration_file import KIND as CALIBRATION
     from gelform.foundations.files import kind_of_npz
-    from gelform.result import KIND as RESULT
 
-    to = one_of(to, RENDERERS + FILES, "--to")
-    kind, wanted = kind_of_npz(source) or "", CALIBRATION if to in RENDERERS else RESULT
+    one_of(to, RENDERERS + FILES, "--to")
+    kind, wanted = kind_of_npz(source) or "", CALIBRATION if to in RENDERERS else result.KIND
     if kind != wanted:
-        what = {CALIBRATION: "a calibration", RESULT: "a result"}
+        what = {CALIBRATION: "a calibration", result.KIND: "a result"}
         raise DataError(
             f"Expected {what[wanted]} to write for {to}, got {what.get(kind, 'neither a calibration nor a result')} "
             f"in {source}. A calibration is written for {', '.join(RENDERERS)}; a result for {', '.join(FILES)}."
         )
+    target = output or source.with_suffix(f".{to}")
     if to in RENDERERS:
         from gelform.exchange.exporters.taxim import save_taxim
 
-        written = save_taxim(source, output or source.with_suffix(f".{to}"), renderer=to)
+        written = save_taxim(source, target, renderer=to)
     else:
         from gelform.exchange.exporters.surface import save_surface
-        from gelform.result import load_result
 
-        target = output or source.with_suffix(f".{to}")
         if target.suffix.lower().lstrip(".") not in (to, to[:3]):
             raise BadParameter(f"expected a name that ends in .{to}, got {target}.", param_hint="--output")
-        written = save_surface(load_result(source), target, overwrite=overwrite)
+        written = save_surface(gelform.load_result(source), target, overwrite=overwrite)
     say(f"Wrote {written}.", quiet)

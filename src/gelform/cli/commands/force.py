@@ -17,18 +17,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
+import gelform
+from gelform import CalibrationError
+from gelform.cli import options
+from gelform.cli.console import ShownOption
 from gelform.cli.files import check_output
-from gelform.cli.options import Background, Bgr, CalibrationFile, Overwrite, ShownOption
 from gelform.cli.process import only_writer
 
 if TYPE_CHECKING:
     from gelform.calibration.loads import LoadedPresses
-    from gelform.calibration_file import Calibration
 
 SUMMARY = "Calibrate force in newtons, and measure its errors."
 Loads = Annotated[Path, Argument(metavar="LOADS", help="Folder of images with loads.csv.")]
 UNITS = {"normal": "N", "shear": "N", "torsion": "N mm"}
-DOUBTED_RATIO = 1.5  # of errors over sigma; above, they are larger than stated
 SHARES = {  # parts of 1, shown as %
     "median": "median error (%)",
     "q90": "90 % below (%)",
@@ -40,22 +41,16 @@ SHARES = {  # parts of 1, shown as %
 def calibrate(
     *,
     loads: Loads,
-    calibration: CalibrationFile,
+    calibration: options.CalibrationFile,
     output: Annotated[
-        Path | None,
-        Option(
-            "--output",
-            "-o",
-            metavar="CAL.npz",
-            help="The calibration to write. Default: -c, with --overwrite.",
-        ),
+        Path | None, options.output("CAL.npz", "The calibration to write. Default: -c, with --overwrite.")
     ] = None,
-    background: Background = None,
-    bgr: Bgr = False,
+    background: options.Background = None,
+    bgr: options.Bgr = False,
     sure_of_unit: Annotated[
         bool, Option("--sure-of-unit", help="The loads are newtons, though the gel seems too hard or soft.")
     ] = False,
-    overwrite: Overwrite = False,
+    overwrite: options.Overwrite = False,
     shown: ShownOption,
 ) -> None:
     """Add force in newtons to a calibration.
@@ -68,22 +63,21 @@ def calibrate(
       gelform force calibrate loads/ -c cal.npz --overwrite
       gelform force calibrate loads/ -c cal.npz -o with_force.npz
     """
-    check_output(output or calibration, overwrite=overwrite)
+    output = output or calibration
+    check_output(output, overwrite=overwrite)
     from gelform.calibration.loads import LAGS
-    from gelform.calibration_file import load_calibration
-    from gelform.depth.force import calibrate_force
 
-    loaded = load_calibration(calibration)
-    with only_writer(output or calibration):
+    loaded = gelform.load_calibration(calibration)
+    with only_writer(output):
         found = _read(loads, loaded, shown, background=background, bgr=bgr)
         if found.lag_frames in (LAGS[0], LAGS[-1]):
             shown.say(
                 f"warning: a lag of {found.lag_frames} frames is at the end of the range that was tried, so it is doubtful. "
                 "Check the times, or write the lag into a column lag_frames of loads.csv."
             )
-        model = calibrate_force(found.touches, found.loads, sure_of_unit=sure_of_unit)
-        model = replace(model, lag_frames=found.lag_frames)
-        replace(loaded, force=model).save(output or calibration, overwrite=overwrite)
+        fitted = gelform.calibrate_force(found.touches, found.loads, sure_of_unit=sure_of_unit)
+        model = replace(fitted, lag_frames=found.lag_frames)
+        replace(loaded, force=model).save(output, overwrite=overwrite)
     described = model.to_dict()
     for kind, unit in UNITS.items():
         if part := described[kind]:
@@ -91,16 +85,16 @@ def calibrate(
             shown.say(f"{kind}: {part['loads']} loads, one standard deviation {off}.")
     if len(model.objects) == 1:
         shown.say("Only one object was pressed, so at least 30 % are stated. Press two more of other shapes.")
-    shown.say(f"Wrote {output or calibration}.")
-    shown.json({"calibration": output or calibration, **described, "lag_frames": found.lag_frames})
+    shown.say(f"Wrote {output}.")
+    shown.json({"calibration": output, **described, "lag_frames": found.lag_frames})
 
 
 def evaluate(
     *,
     loads: Loads,
-    calibration: CalibrationFile,
-    background: Background = None,
-    bgr: Bgr = False,
+    calibration: options.CalibrationFile,
+    background: options.Background = None,
+    bgr: options.Bgr = False,
     shown: ShownOption,
 ) -> None:
     """Measure the errors of a calibration's forces.
@@ -113,16 +107,14 @@ def evaluate(
       gelform force evaluate more_loads/ -c cal.npz
       gelform force evaluate more_loads/ -c cal.npz --json > errors.json
     """
-    from gelform.calibration_file import load_calibration
-    from gelform.depth.force import NO_LOADS, evaluate_force, sigma_ratio
-    from gelform.errors import CalibrationError
+    from gelform.depth.force import NO_LOADS, sigma_ratio
 
-    loaded = load_calibration(calibration)
+    loaded = gelform.load_calibration(calibration)
     if loaded.force is None:
         raise CalibrationError(f"{calibration} states no forces: {NO_LOADS}.")
     lag = loaded.force.lag_frames or 0
     found = _read(loads, loaded, shown, background=background, bgr=bgr, lag_frames=lag)
-    errors = evaluate_force(loaded.force, found.touches, found.loads)
+    errors = gelform.evaluate_force(loaded.force, found.touches, found.loads)
     for kind, unit in UNITS.items():
         columns = (
             "object",
@@ -132,21 +124,18 @@ def evaluate(
             f"a constant's ({unit})",
             *SHARES.values(),
         )
-        if errors[kind]:
-            shown.table(f"Errors of the force: {kind}", columns, [_row(row) for row in errors[kind]])
+        shown.table(f"Errors of the force: {kind}", columns, map(_row, errors[kind]))
     shown.table("Without a normal force", ("reason", "presses"), errors["reasons"].items())
     ratio = sigma_ratio(loaded.force, found.touches, found.loads)
     if ratio is not None:
-        remedy = "" if ratio < DOUBTED_RATIO else " Calibrate again, with these objects too."
+        remedy = " Calibrate again, with these objects too." if ratio >= 1.5 else ""  # larger than stated
         shown.say(f"Errors of the normal force are {ratio:.2g} times the stated sigma.{remedy}")
     shown.json({"lag_frames": found.lag_frames, "errors_over_sigma": ratio, **errors})
 
 
-def _read(folder: Path, calibration: Calibration, shown: ShownOption, **given: Any) -> LoadedPresses:
-    from gelform.calibration.loads import read_loads
-
+def _read(folder: Path, calibration: gelform.Calibration, shown: ShownOption, **given: Any) -> LoadedPresses:
     with shown.progress() as progress:
-        found = read_loads(folder, calibration, progress=progress, **given)
+        found = gelform.read_loads(folder, calibration, progress=progress, **given)
     if found.lag_frames is not None:
         shown.say(f"The gauge lags behind the images by {found.lag_frames} frames; this is removed.")
     return found

@@ -7,49 +7,33 @@ import platform
 import re
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from typer import Argument, BadParameter, Option
 
+import gelform
+from gelform import DataError, GelformError, result
 from gelform.cli.console import print_json, show
 from gelform.cli.options import Json
-from gelform.errors import DataError, GelformError
-
-if TYPE_CHECKING:
-    from gelform.result import Reconstruction
-
-VARIABLES = ("GELFORM_ISA", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # they change speed or kernels
-OPENCV = (
-    "opencv-python",
-    "opencv-contrib-python",
-    "opencv-python-headless",
-    "opencv-contrib-python-headless",
-)
-OF_DEVELOPERS = {"dev", "docs"}  # extras that only developers need
-_REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)[^;]*(?:;(?P<marker>.*))?")
+from gelform.cli.process import in_options
 
 
 def system_facts() -> dict[str, Any]:
     """Versions, processor, instruction set, extras and cameras of this machine."""
-    from gelform import __version__
-
-    try:
-        declared = requires("gelform") or []
-    except PackageNotFoundError:  # a checkout that is only on the path
-        declared = []
-    core, extras = _requirements(declared)
+    core, extras = _requirements()
+    of_speed = ("GELFORM_ISA", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # or of the kernels
     return {
         "kind": "system",
-        "gelform": __version__,
+        "gelform": gelform.__version__,
         "python": f"{platform.python_version()} ({platform.python_implementation()})",
         "system": platform.platform(),
         "processor": f"{platform.machine()}, {os.cpu_count()} cores",
         "kernels": _kernels(),
-        "variables": {name: os.environ[name] for name in VARIABLES if name in os.environ},
+        "variables": {name: os.environ[name] for name in of_speed if name in os.environ},
         "packages": {name: _version(name) or "missing" for name in core},
         "opencv": _opencv(),
         "extras": {extra: _extra(names) for extra, names in extras.items()},
@@ -57,34 +41,37 @@ def system_facts() -> dict[str, Any]:
     }
 
 
-def _requirements(declared: Iterable[str]) -> tuple[list[str], dict[str, list[str]]]:
+def _requirements() -> tuple[list[str], dict[str, list[str]]]:
     """Names of the packages that gelform always needs, and those of each extra, for this version of Python."""
+    try:
+        declared = requires("gelform") or []
+    except PackageNotFoundError:  # a checkout that is only on the path
+        declared = []
     core: list[str] = []
     extras: dict[str, list[str]] = {}
     for requirement in declared:
-        found = _REQUIREMENT.fullmatch(requirement)
-        if found is None or not _for_this_python(found["marker"] or ""):
+        found = re.fullmatch(r"(?P<name>[\w.-]+)[^;]*(?:;(?P<marker>.*))?", requirement)
+        if found is None:
             continue
-        extra = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", found["marker"] or "")
+        marker = found["marker"] or ""
+        compared = re.findall(r"python_version\s*(<|>=)\s*['\"](\d+)\.(\d+)['\"]", marker)
+        if any(
+            (sys.version_info < (int(major), int(minor))) != (sign == "<") for sign, major, minor in compared
+        ):
+            continue
+        extra = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", marker)
         if extra is None:
             core.append(found["name"])
-        elif extra[1] not in OF_DEVELOPERS:
+        elif extra[1] not in ("dev", "docs"):  # for developers
             extras.setdefault(extra[1], []).append(found["name"])
     return core, extras
 
 
-def _for_this_python(marker: str) -> bool:
-    """Whether a marker's condition on Python's version holds here."""
-    for compared, major, minor in re.findall(r"python_version\s*(<|>=)\s*['\"](\d+)\.(\d+)['\"]", marker):
-        below = sys.version_info[:2] < (int(major), int(minor))
-        if below != (compared == "<"):
-            return False
-    return True
-
-
 def _opencv() -> str:
     """Every installed distribution of OpenCV: all of them write the one folder cv2, and the last one installed wins."""
-    found = [f"{name} {known}" for name in OPENCV if (known := _version(name)) is not None]
+    kinds = ("opencv-python", "opencv-contrib-python")
+    names = (*kinds, *(f"{kind}-headless" for kind in kinds))
+    found = [f"{name} {known}" for name in names if (known := _version(name)) is not None]
     if len(found) < 2:
         return ", ".join(found) or "none that pip knows"
     return f"{', '.join(found)}: they overwrite each other's cv2, so cv2.imshow may be missing (docs/installing.md)"
@@ -130,22 +117,23 @@ def _cameras() -> list[str]:
 
 
 Facts = Mapping[str, Any]
-Lines = list[tuple[str, str]]
-BALL_MISSING = "the ball's diameter (--ball-diameter-mm)"
-LISTED = 8  # largest contacts that are printed; --json gives all
+Lines = list[tuple[str, Any]]  # label and text; a line without a text is left out
 HELD_OUT = {
     "normal_free_deg": "normals {:.1f}°",
     "radius_percent": "ball's radius {:.1f} %",
     "cap_free_um": "depth in contact {:.0f} um",
     "off_contact_um": "depth off contact {:.0f} um",
 }
+ROUGHNESS = (
+    "Sa {Sa_um:.3g} um, Sq {Sq_um:.3g} um, Sz {Sz_um:.3g} um, Ssk {Ssk:.2f}, Sku {Sku:.2f}, Sdr {Sdr_percent:.3g} % of what "
+    "is in contact (ISO 25178; form removed: {form}, S-filter {s_filter_mm:.2g} mm, L-filter {l_filter_mm:.2g} mm)"
+)
 
 
 def info(
     *,
     path: Annotated[
-        Path | None,
-        Argument(metavar="FILE|FOLDER", help="Calibration, result, image, video or press folder."),
+        Path | None, Argument(metavar="FILE|FOLDER", help="Calibration, result, image, video, press folder.")
     ] = None,
     system: Annotated[
         bool, Option("--system", help="Describe this machine instead, for a bug report.")
@@ -168,7 +156,12 @@ def info(
     """
     if (path is None) != system:
         raise BadParameter("Expected a file or folder, or --system, and not both.")
-    facts = system_facts() if path is None else _facts(path)
+    if path is None:
+        facts = system_facts()
+    elif path.exists():
+        facts = _folder(path) if path.is_dir() else _file(path)
+    else:
+        raise DataError(f"No file or folder {path}. Check the path.")
     if as_json:
         print_json(facts)
         return
@@ -178,21 +171,17 @@ def info(
         show(f"{label:<{width}}  {text}")
 
 
-def _facts(path: Path) -> dict[str, Any]:
-    if not path.exists():
-        raise DataError(f"No file or folder {path}. Check the path.")
-    return _folder(path) if path.is_dir() else _file(path)
-
-
 def _file(path: Path) -> dict[str, Any]:
     from gelform.calibration_file import KIND as CALIBRATION
-    from gelform.foundations.files import kind_of_npz
-    from gelform.result import KIND as RESULT
+    from gelform.foundations.files import kind_of_npz, way_for
 
     kind = kind_of_npz(path)
     if kind == CALIBRATION:
-        return _calibration(path)
-    if kind == RESULT:
+        described = gelform.load_calibration(path).describe()
+        described.pop("training_digests")
+        presses = described["settings"].get("presses", 0)
+        return {"kind": "calibration", **described, "training_presses": presses}
+    if kind == result.KIND:
         return _result(path)
     if path.suffix.lower() == ".mcap":
         return _recording(path)
@@ -204,17 +193,15 @@ def _file(path: Path) -> dict[str, Any]:
     if layout == TAXIM:
         return _presses(path, layout)
     if path.suffix == ".npz":
-        from gelform.foundations.files import way_for
-
         raise DataError(
             f"{path} is neither a calibration nor a result of gelform's, or it is damaged.{way_for(path)}"
         )
-    from gelform.sensors.files import images_of_stack, is_stack, read_image
+    from gelform.sensors.files import images_of_stack, is_stack
 
     if is_stack(path):
         one, count = images_of_stack(path)
         return {"kind": "file of several images", "size_px": list(one(0).shape[:2]), "frames": count}
-    image = read_image(path)
+    image = gelform.read_image(path)
     levels = [round(float(level), 1) for level in image.mean(axis=(0, 1))]
     return {"kind": "image", "size_px": list(image.shape[:2]), "mean_rgb": levels}
 
@@ -239,72 +226,59 @@ def _recording(path: Path) -> dict[str, Any]:
     }
 
 
-def _calibration(path: Path) -> dict[str, Any]:
-    from gelform.calibration_file import load_calibration
-
-    described = load_calibration(path).describe()
-    described.pop("training_digests")
-    return {"kind": "calibration", **described, "training_presses": described["settings"].get("presses", 0)}
-
-
 def _result(path: Path) -> dict[str, Any]:
-    from gelform.result import load_result
-
-    result = load_result(path)
-    found, unit = result.numbers, "depth_mm" if result.mm_per_px is not None else "depth_px"
+    found = gelform.load_result(path)
+    numbers, unit = found.numbers, "depth_mm" if found.mm_per_px is not None else "depth_px"
     return {
         "kind": "result",
-        "size_px": list(result.shape),
-        "mm_per_px": result.mm_per_px,
-        "mm_per_px_sigma": result.mm_per_px_sigma,
-        unit: found and [round(found.lowest, 4), round(found.peak, 4)],
-        "contact_px": int(result.contact.sum()),
-        "contacts": [asdict(contact) for contact in result.contacts],
-        "roughness": _roughness(result),
-        "markers": None if result.markers is None else result.markers.facts(),
-        "known_px": int(result.known.sum()),
-        "zero": result.zero,
-        "solver": result.solver,
-        "curl_rms": result.curl_rms,
-        "findings": [finding.message for finding in result.health],
-        "calibration": result.calibration_digest,
+        "size_px": list(found.shape),
+        "mm_per_px": found.mm_per_px,
+        "mm_per_px_sigma": found.mm_per_px_sigma,
+        unit: numbers and [round(numbers.lowest, 4), round(numbers.peak, 4)],
+        "contact_px": int(found.contact.sum()),
+        "contacts": [asdict(contact) for contact in found.contacts],
+        "roughness": _roughness(found),
+        "markers": None if found.markers is None else found.markers.facts(),
+        "known_px": int(found.known.sum()),
+        "zero": found.zero,
+        "solver": found.solver,
+        "curl_rms": found.curl_rms,
+        "findings": [finding.message for finding in found.health],
+        "calibration": found.calibration_digest,
     }
 
 
-def _roughness(result: Reconstruction) -> dict[str, Any] | None:
+def _roughness(found: gelform.Reconstruction) -> dict[str, Any] | None:
     """The roughness of the contact by ISO 25178; None without a scale or if the contact is too small."""
     from gelform.result.metrics import LEAST_PX, areal_roughness
 
-    inside = result.contact & result.known
-    if not isinstance(result.mm_per_px, float) or int(inside.sum()) < LEAST_PX:
+    inside = found.contact & found.known
+    if not isinstance(found.mm_per_px, float) or int(inside.sum()) < LEAST_PX:
         return None
-    figures = asdict(areal_roughness(result.depth_mm, mm_per_px=result.mm_per_px, mask=inside))
+    figures = asdict(areal_roughness(found.depth_mm, mm_per_px=found.mm_per_px, mask=inside))
     return {name: round(value, 4) if isinstance(value, float) else value for name, value in figures.items()}
 
 
 def _video(path: Path) -> dict[str, Any]:
     """The facts that the file states; calibration finds the presses."""
-    from gelform.sensors.films import Video
-
-    video = Video(path)
-    facts = video.facts
-    seconds = facts.count / facts.frame_rate_hz if facts.frame_rate_hz else None
-    scale = (path.parent / "sensor.toml").is_file()
+    facts = gelform.Video(path).facts
+    missing = ["the ball's diameter (--ball-diameter-mm)"]
+    if not (path.parent / "sensor.toml").is_file():
+        missing.append("the scale (--mm-per-px or --sensor)")
     return {
         "kind": "video",
         "size_px": list(facts.shape),
         "frames": facts.count,
         "frame_rate_hz": facts.frame_rate_hz,
-        "duration_s": seconds,
-        "missing": [BALL_MISSING] if scale else [BALL_MISSING, "the scale (--mm-per-px or --sensor)"],
+        "duration_s": facts.count / facts.frame_rate_hz if facts.frame_rate_hz else None,
+        "missing": missing,
     }
 
 
 def _folder(path: Path) -> dict[str, Any]:
     """The facts of a bag or presses; for any other folder, the files that would make it a press folder."""
     from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses, rows_by_folder
-    from gelform.cli.process import in_options
-    from gelform.sensors.files import likely_background
+    from gelform.sensors.files import IMAGE_SUFFIXES, likely_background
     from gelform.sensors.recordings.mcap_reader import is_bag_folder
 
     if is_bag_folder(path):
@@ -312,9 +286,9 @@ def _folder(path: Path) -> dict[str, Any]:
     layout = kind_of_presses(path)
     if layout not in (PRESS_FOLDER, PLAIN):
         return _presses(path, layout)
-    here = {entry.name for entry in path.iterdir()}
+    here = {Path(entry.name) for entry in path.iterdir()}
     missing = []
-    if not any(Path(name).stem == "background" for name in here):
+    if not any(name.stem == "background" for name in here):
         likely = in_options(likely_background(path))
         missing.append(f"background.png, an image of the gel at rest (or --background). {likely}".strip())
     suggested = rows_by_folder(path) if layout == PLAIN else []
@@ -322,12 +296,13 @@ def _folder(path: Path) -> dict[str, Any]:
         missing.append("presses.csv with these lines, if the names of the folders are the balls' diameters")
     elif layout == PLAIN:
         missing.append("presses.csv with the columns image,ball_diameter_mm (or --ball-diameter-mm)")
-    if "sensor.toml" not in here:
+    if Path("sensor.toml") not in here:
         missing.append("sensor.toml with name and mm_per_px (or --sensor, --mm-per-px)")
-    if missing:
-        lines = {"presses.csv": suggested} if suggested else {}
-        return {"kind": layout, "images_here": _images(here), "missing": missing, **lines}
-    return _presses(path, layout)
+    if not missing:
+        return _presses(path, layout)
+    images = sum(name.suffix.lower() in IMAGE_SUFFIXES for name in here)
+    lines = {"presses.csv": suggested} if suggested else {}
+    return {"kind": layout, "images_here": images, "missing": missing, **lines}
 
 
 def _bag(path: Path) -> dict[str, Any]:
@@ -343,19 +318,12 @@ def _bag(path: Path) -> dict[str, Any]:
     return {**facts, "file": file.name, "messages": dict(sorted(topics.items()))}
 
 
-def _images(names: set[str]) -> int:
-    from gelform.sensors.files import IMAGE_SUFFIXES
-
-    return sum(1 for name in names if Path(name).suffix.lower() in IMAGE_SUFFIXES)
-
-
 def _presses(path: Path, layout: str | None) -> dict[str, Any]:
     """The presses as calibration reads them; an error of the reader is listed as missing."""
     from gelform.calibration.circles.locate import count_presses
-    from gelform.calibration.presses.folder import read_presses
 
     try:
-        presses = read_presses(path)
+        presses = gelform.read_presses(path)
         different = count_presses(presses)
     except GelformError as problem:
         return {"kind": layout, "missing": [str(problem)]}
@@ -374,9 +342,10 @@ def _presses(path: Path, layout: str | None) -> dict[str, Any]:
 
 
 def lines_of(facts: Facts) -> Lines:
-    """(label, text) of each line; an unknown kind of file is listed unchanged."""
-    lines = WORDS.get(facts["kind"], _plain_lines)(facts)
-    return [("kind", str(facts["kind"])), *lines]
+    """(label, text) of each line with a text; an unknown kind of file is listed unchanged."""
+    of_kind = {"calibration": _calibration_lines, "result": _result_lines, "system": _system_lines}
+    lines = of_kind.get(facts["kind"], _plain_lines)(facts)
+    return [("kind", str(facts["kind"])), *((label, str(text)) for label, text in lines if text)]
 
 
 def _calibration_lines(facts: Facts) -> Lines:
@@ -388,20 +357,24 @@ def _calibration_lines(facts: Facts) -> Lines:
     held_out = facts.get("held_out") or {}
     known = [form.format(held_out[name]) for name, form in HELD_OUT.items() if name in held_out]
     force = (facts.get("force") or {}).get("normal")
-    loads = f"{force['loads']} loads up to {force['range'][1]:.3g} N" if force else ""
-    named = [("serial", facts.get("serial")), ("gel", facts.get("gel_id"))]
+    noise, sigma = "not known", facts.get("slope_sigma")
+    if sigma:  # the figures by slope, which --json has, are factors where the color model has a step
+        camera = " without the camera's noise" if sigma["rest_per_noise"] else ""
+        contact = f"{sigma['full_confidence_sigma']:.2g} mm/mm in 95 % of a contact"
+        noise = f"{sigma['rest']:.2g} mm/mm at rest{camera}, at most {contact}"
     return [
-        ("sensor", str(facts["sensor_name"])),
-        *[(label, str(text)) for label, text in named if text],
+        ("sensor", facts["sensor_name"]),
+        ("serial", facts.get("serial")),
+        ("gel", facts.get("gel_id")),
         ("images", f"{_size(facts['image_shape'])}, {_scale(facts)}"),
-        ("view", "none: a frame is used as the image" if not facts.get("view") else _said(facts["view"])),
-        ("color model", f"{facts['color_model']} ({settings})" if settings else str(facts["color_model"])),
+        ("view", _said(facts["view"]) if facts.get("view") else "none: a frame is used as the image"),
+        ("color model", f"{facts['color_model']} ({settings})" if settings else facts["color_model"]),
         *_made_from(facts),
         ("held out", ", ".join(known) or "no errors on held-out presses are known"),
-        ("slope noise", _noise(facts.get("slope_sigma"))),
-        *([("force", loads)] if loads else []),
+        ("slope noise", noise),
+        ("force", force and f"{force['loads']} loads up to {force['range'][1]:.3g} N"),
         ("made", f"{facts['created_utc']}, by gelform {facts['library_version']}"),
-        ("digest", str(facts["digest"])),
+        ("digest", facts["digest"]),
     ]
 
 
@@ -421,34 +394,28 @@ def _made_from(facts: Facts) -> Lines:
             "spread",
             f"slopes of a unit are within {100 * starter['spread']:.0f} % of the starter's (one standard deviation)",
         ),
-        *[("warning", str(message)) for _, message, _ in starter["findings"]],
+        *[("warning", message) for _, message, _ in starter["findings"]],
     ]
 
 
 def _result_lines(facts: Facts) -> Lines:
     unit = "mm" if "depth_mm" in facts else "px"
-    low, high = facts[f"depth_{unit}"]
+    depth, roughness, markers = facts[f"depth_{unit}"], facts.get("roughness"), facts["markers"]
+    low_to_high = "unknown" if depth is None else f"{depth[0]:.3f} to {depth[1]:.3f} {unit}"
     pixels = facts["size_px"][0] * facts["size_px"][1]
+    largest = facts["contacts"][:8]  # --json gives all
     return [
         ("image", f"{_size(facts['size_px'])}, {_scale(facts)}"),
-        ("depth", f"{low:.3f} to {high:.3f} {unit}, 0 at rest, zero by: {facts['zero']}"),
+        ("depth", f"{low_to_high}, 0 at rest, zero by: {facts['zero']}"),
         ("contact", f"{facts['contact_px']} of {pixels} px"),
-        *[(f"contact {k + 1}", _contact(contact)) for k, contact in enumerate(facts["contacts"][:LISTED])],
-        *([("roughness", _roughness_line(facts["roughness"]))] if facts.get("roughness") else []),
-        *([("markers", facts["markers"]["in_words"])] if facts["markers"] else []),
+        *[(f"contact {k + 1}", _contact(contact)) for k, contact in enumerate(largest)],
+        ("roughness", roughness and ROUGHNESS.format(**roughness)),
+        ("markers", markers and markers["in_words"]),
         ("known", f"{100 * facts['known_px'] / pixels:.0f} % of the pixels; the others are filled"),
         ("solver", f"{facts['solver']}, curl of the slopes {facts['curl_rms']:.3g} per px (RMS)"),
         *[("warning", message) for message in facts["findings"]],
-        ("calibration", str(facts["calibration"])),
+        ("calibration", facts["calibration"]),
     ]
-
-
-def _roughness_line(found: Facts) -> str:
-    return (
-        f"Sa {found['Sa_um']:.3g} um, Sq {found['Sq_um']:.3g} um, Sz {found['Sz_um']:.3g} um, Ssk {found['Ssk']:.2f}, "
-        f"Sku {found['Sku']:.2f}, Sdr {found['Sdr_percent']:.3g} % of what is in contact (ISO 25178; form removed: "
-        f"{found['form']}, S-filter {found['s_filter_mm']:.2g} mm, L-filter {found['l_filter_mm']:.2g} mm)"
-    )
 
 
 def _contact(contact: Facts) -> str:
@@ -467,7 +434,7 @@ def _plain_lines(facts: Facts) -> Lines:
     lines: Lines = []
     for name, value in facts.items():
         if name in ("missing", "presses.csv"):
-            lines += [(name, str(one)) for one in value]
+            lines += [(name, one) for one in value]
         elif name.endswith("size_px"):
             lines.append(("size", _size(value)))
         elif name != "kind":
@@ -480,19 +447,12 @@ def _system_lines(facts: Facts) -> Lines:
     lines: Lines = []
     for name, value in facts.items():
         if isinstance(value, dict):
-            lines += [(label, str(text)) for label, text in value.items()]
+            lines += value.items()
         elif isinstance(value, list):
-            lines += [("camera", str(one)) for one in value] or [("camera", "none")]
+            lines += [("camera", one) for one in value or ["none"]]
         elif name != "kind":
-            lines.append((name, str(value)))
+            lines.append((name, value))
     return lines
-
-
-WORDS: dict[str, Callable[[Facts], Lines]] = {
-    "calibration": _calibration_lines,
-    "result": _result_lines,
-    "system": _system_lines,
-}
 
 
 def _size(shape: Any) -> str:
@@ -504,15 +464,6 @@ def _scale(facts: Facts) -> str:
     if pitch is None:
         return "scale unknown: depth in pixels"
     return f"{_said(pitch)} mm per pixel" + (f" +- {sigma:.2g}" if sigma else ", uncertainty unknown")
-
-
-def _noise(sigma: Facts | None) -> str:
-    if not sigma:
-        return "not known"
-    # The figures by slope, which --json has, are factors where the color model has a step.
-    camera = " without the camera's noise" if sigma["rest_per_noise"] else ""
-    rest, contact = sigma["rest"], sigma["full_confidence_sigma"]
-    return f"{rest:.2g} mm/mm at rest{camera}, at most {contact:.2g} mm/mm in 95 % of a contact"
 
 
 def _said(value: Any) -> str:

@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from typer import Argument, BadParameter, Option
+from typer import Argument, BadParameter
 
-from gelform.cli.console import figure, say
-from gelform.cli.files import Inputs, NewPicture, named, new_pictures
-from gelform.cli.options import (
-    Background,
-    Bgr,
-    CalibrationFile,
-    Images,
-    Overwrite,
-    PictureFolder,
-    PressOptions,
-    ShownOption,
-)
-from gelform.errors import DataError
+import gelform
+from gelform import DataError
+from gelform.cli import options
+from gelform.cli.console import ShownOption, figure, say
+from gelform.cli.files import Inputs, make_folder, named, new_pictures, other_size
 
 if TYPE_CHECKING:
-    from gelform.calibration.presses.press_set import Presses
-    from gelform.calibration_file import Calibration
-    from gelform.reconstruct import Reconstructor
+    from gelform.arrays import Image
 
 COLUMNS = {  # of the table, which fits into 80 columns
     "normal_free_deg": "normals °",
@@ -35,10 +25,6 @@ COLUMNS = {  # of the table, which fits into 80 columns
 }
 PRESSES = "Errors of each press: normals, depth in contact, ball radius, depth off contact"
 WORSE = 1.5  # times the errors at calibration; folds of the real sets differ by up to a third
-SEEN = (
-    "Their errors say little about new presses. They may even be larger than the held-out errors of `calibrate`, which "
-    "fits all circles together; here each circle is found in its own image."
-)
 COMPARED = {  # {u}: the unit of depth
     "image": "image",
     "peak_a": "peak A ({u})",
@@ -53,8 +39,8 @@ COMPARED = {  # {u}: the unit of depth
 def evaluate(
     *,
     presses: Annotated[Path, Argument(metavar="PRESSES", help="Folder of ball presses.")],
-    calibration: CalibrationFile,
-    given: PressOptions,
+    calibration: options.CalibrationFile,
+    given: options.PressOptions,
     shown: ShownOption,
 ) -> None:
     """Measure a calibration's errors on presses of a ball.
@@ -69,18 +55,21 @@ def evaluate(
       gelform evaluate new_presses/ -c cal.npz --json > errors.json
       gelform evaluate frames/ -c cal.npz --sensor gelsight-mini --ball-diameter-mm 6.35
     """
-    from gelform.calibration.evaluate import evaluate as evaluate_presses
-    from gelform.calibration.presses.folder import read_presses
     from gelform.calibration.report.record import FIGURES
-    from gelform.calibration_file import load_calibration
 
-    loaded = load_calibration(calibration)
+    loaded = gelform.load_calibration(calibration)
     with shown.progress() as progress:
-        found = read_presses(presses, **vars(given), progress=progress)
-        _check_size(found, loaded)
-        evaluation = evaluate_presses(loaded, found, progress=progress)
+        found = gelform.read_presses(presses, **vars(given), progress=progress)
+        sizes = list(dict.fromkeys([loaded.image_shape, loaded.view.frame_shape or loaded.image_shape]))
+        if found.image_shape not in sizes:
+            raise DataError(f"{found.folder}: Expected images of {other_size(found.image_shape, sizes)}")
+        evaluation = gelform.evaluate(loaded, found, progress=progress)
     if evaluation.seen:
-        say(f"warning: the calibration was made from {evaluation.seen} of these presses. {SEEN}")
+        say(
+            f"warning: the calibration was made from {evaluation.seen} of these presses. Their errors say little about new "
+            "presses. They may even be larger than the held-out errors of `calibrate`, which fits all circles together; "
+            "here each circle is found in its own image."
+        )
     whose = "the calibration's own" if evaluation.own_background else "not the calibration's own"
     shown.say(f"Background: {whose}.")
     for message in evaluation.findings:
@@ -96,19 +85,17 @@ def evaluate(
     ]
     shown.table(PRESSES, ("press", "ball mm", *COLUMNS.values()), rows)
     left_out = [(row["name"], row["reason"]) for row in evaluation.rows if row["reason"] is not None]
-    if left_out:
-        shown.table("Rejected presses", ("press", "reason"), left_out)
+    shown.table("Rejected presses", ("press", "reason"), left_out)
     summary = [(FIGURES[name], value) for name, value in evaluation.summary.items()]
     shown.table("Over all presses", ("error", "value"), summary)
     _show_where(evaluation.where, shown)
     shown.say(verdict_of(evaluation.summary, loaded.held_out))
-    if evaluation.flats:
-        heights = []
-        for flat in evaluation.flats:
-            name, height, read = flat["name"], flat["height_mm"], flat["read_mm"]
-            measured = (None, None) if read is None else (f"{read:.3f}", 100 * read / height)
-            heights.append((name, f"{height:g}", *measured))
-        shown.table("Flat punches", ("press", "height (mm)", "measured (mm)", "measured/height (%)"), heights)
+    heights = []
+    for flat in evaluation.flats:
+        height, read = flat["height_mm"], flat["read_mm"]
+        measured = (None, None) if read is None else (f"{read:.3f}", 100 * read / height)
+        heights.append((flat["name"], f"{height:g}", *measured))
+    shown.table("Flat punches", ("press", "height (mm)", "measured (mm)", "measured/height (%)"), heights)
 
 
 def verdict_of(found: Mapping[str, float], held_out: Mapping[str, Any]) -> str:
@@ -152,33 +139,16 @@ def _show_where(where: dict[str, Any], shown: ShownOption) -> None:
     shown.table(title, tuple(f"column {k + 1}" for k in range(columns)), grid)
 
 
-def _check_size(presses: Presses, calibration: Calibration) -> None:
-    """Accept images of the calibration's size, or frames of its view."""
-    frame, sizes = calibration.view.frame_shape, [calibration.image_shape]
-    if frame is not None and frame not in sizes:
-        sizes.append(frame)
-    if presses.image_shape not in sizes:
-        named = " or ".join(f"{height}x{width}" for height, width in sizes)
-        got = f"{presses.image_shape[0]}x{presses.image_shape[1]}"
-        raise DataError(f"{presses.folder}: Expected images of {named} px (height x width), got {got}.")
-
-
 def compare(
     *,
-    images: Images,
+    images: options.Images,
     calibrations: Annotated[
-        list[Path],
-        Option(
-            "--calibration",
-            "-c",
-            metavar="CAL.npz",
-            help="A calibration; give the option twice, for A and B.",
-        ),
+        list[Path], options.calibration("A calibration; give the option twice, for A and B.")
     ],
-    output: PictureFolder = None,
-    background: Background = None,
-    bgr: Bgr = False,
-    overwrite: Overwrite = False,
+    output: options.PictureFolder = None,
+    background: options.Background = None,
+    bgr: options.Bgr = False,
+    overwrite: options.Overwrite = False,
     shown: ShownOption,
 ) -> None:
     """Compare two calibrations on the same images.
@@ -199,44 +169,29 @@ def compare(
     given = Inputs(background=background, bgr=bgr)
     images = given.images(images)
     pictures = new_pictures(images, output, overwrite=overwrite, read=[*calibrations, background])
-    with shown.progress() as progress:
-        progress(0, len(images), "starting")
-        pair = [given.reconstructor(path) for path in calibrations]
+    pair = [given.reconstructor(gelform.load_calibration(path)) for path in calibrations]
+    from gelform.exchange.plots import compare_results, comparison_picture
+
+    def compared(path: Path) -> tuple[dict[str, Any], Callable[[], Image]]:
+        seen = [given.image(path, run.calibration) for run in pair]
+        with named(path):
+            a, b = (run.from_image(image) for run, image in zip(pair, seen))
         names = (calibrations[0].stem, calibrations[1].stem)
-        rows = []
-        for done, (image, picture) in enumerate(zip(images, pictures)):
-            rows.append(_compare_one(given, pair, image, picture, names))
-            progress(done + 1, len(images), "comparing")
+        return compare_results(a, b).figures(), lambda: comparison_picture(a, b, seen[0], names=names)
+
+    rows = _rows_of_images(pictures, compared, "comparing", shown, overwrite=overwrite)
     columns = {name: column.format(u=rows[0]["unit"]) for name, column in COMPARED.items()}
     shown.table("Comparison", columns, rows)
     _say_pictures(rows, output, shown)
     shown.json({"a": str(calibrations[0]), "b": str(calibrations[1]), "images": rows})
 
 
-def _compare_one(
-    given: Inputs,
-    pair: Sequence[Reconstructor],
-    path: Path,
-    picture: NewPicture | None,
-    names: tuple[str, str],
-) -> dict[str, Any]:
-    from gelform.exchange.plots import compare_results, comparison_picture
-
-    images = [given.image(path, run.calibration) for run in pair]
-    with named(path):
-        a, b = (run.from_image(image) for run, image in zip(pair, images))
-    compared = compare_results(a, b)
-    if picture is not None:
-        picture.save(comparison_picture(a, b, images[0], names=names))
-    return {"image": str(path), "picture": picture and str(picture.path), **compared.figures()}
-
-
 def explain(
     *,
-    images: Images,
+    images: options.Images,
     given: Inputs,
-    output: PictureFolder = None,
-    overwrite: Overwrite = False,
+    output: options.PictureFolder = None,
+    overwrite: options.Overwrite = False,
     shown: ShownOption,
 ) -> None:
     """Explain the confidence of each pixel of an image.
@@ -253,14 +208,22 @@ def explain(
       gelform explain frame.png -c cal.npz --background today_rest.png -o why --overwrite
     """
     images = given.images(images)
-    read = [given.calibration, given.background]
+    read = (given.calibration, given.background)
     pictures = new_pictures(images, output, overwrite=overwrite, read=read)
     run = given.reconstructor(given.calibration_of(images, shown.silent))
-    rows = [_explain_one(given, run, path, picture) for path, picture in zip(images, pictures)]
+
+    def explained(path: Path) -> tuple[dict[str, Any], Callable[[], Image]]:
+        from gelform.exchange.plots import explanation_picture
+
+        image = given.image(path, run.calibration)
+        with named(path):
+            found = run.explain(image)
+        return found.to_dict(), lambda: explanation_picture(found, image)
+
+    rows = _rows_of_images(pictures, explained, "explaining", shown, overwrite=overwrite)
     for row in rows:
         for finding in row["findings"]:
-            if not shown.silent:
-                say(f"{row['image']}: {finding['message']}")
+            say(f"{row['image']}: {finding['message']}", shown.silent)
     names = [name for name in rows[0]["variance_shares"] if any(row["variance_shares"][name] for row in rows)]
     table = [
         (
@@ -278,17 +241,30 @@ def explain(
     shown.json({"calibration": given.calibration and str(given.calibration), "images": rows})
 
 
-def _explain_one(given: Inputs, run: Reconstructor, path: Path, picture: NewPicture | None) -> dict[str, Any]:
-    image = given.image(path, run.calibration)
-    with named(path):
-        found = run.explain(image)
-    if picture is not None:
-        from gelform.exchange.plots import explanation_picture
+def _rows_of_images(
+    pictures: Sequence[tuple[Path, Path | None]],
+    of_image: Callable[[Path], tuple[dict[str, Any], Callable[[], Image]]],
+    what: str,
+    shown: ShownOption,
+    *,
+    overwrite: bool,
+) -> list[dict[str, Any]]:
+    """The figures of each image, and the path of its picture, which is drawn if there is one."""
+    rows = []
+    with shown.progress() as progress:
+        for done, (image, picture) in enumerate(pictures):
+            progress(done, len(pictures), what)
+            figures, draw = of_image(image)
+            if picture is not None:
+                from gelform.exchange.plots import save_picture
 
-        picture.save(explanation_picture(found, image))
-    return {"image": str(path), "picture": picture and str(picture.path), **found.to_dict()}
+                make_folder(picture.parent)
+                save_picture(picture, draw(), overwrite=overwrite)
+            rows.append({"image": str(image), "picture": picture and str(picture), **figures})
+        progress(len(pictures), len(pictures), what)
+    return rows
 
 
 def _say_pictures(rows: Sequence[Any], output: Path | None, shown: ShownOption) -> None:
-    if output is not None and not shown.silent:
-        say(f"Wrote {len(rows)} {'picture' if len(rows) == 1 else 'pictures'} to {output}.")
+    if output is not None:
+        say(f"Wrote {len(rows)} {'picture' if len(rows) == 1 else 'pictures'} to {output}.", shown.silent)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import webbrowser
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -11,32 +12,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import check_pictures, figure, say
-from gelform.cli.files import Inputs, check_results, make_folder, named, result_paths
-from gelform.cli.options import AcceptDoubtful, Dataset, Overwrite, ShownOption, one_of
-from gelform.cli.process import MISTAKE, one_line
+import gelform
+from gelform.cli import options
+from gelform.cli.commands.batch import Frames, batch
+from gelform.cli.console import ShownOption, check_pictures, figure, say
+from gelform.cli.files import Inputs, check_results, make_folder, named, result_paths, save_by_name
+from gelform.cli.process import MISTAKE, one_line, status_of
 from gelform.errors import GelformError, reason
 from gelform.foundations.findings import FrameTally
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+    from gelform.arrays import Image
 
-    from gelform.result import Reconstruction
-
-SURFACES = ("ply", "stl", "tiff", "x3p")  # of exporters.surface; png is a picture here, not depth
-FORMATS = ("npz", "png", *SURFACES)
+FORMATS = (
+    "npz",
+    "png",
+    "ply",
+    "stl",
+    "tiff",
+    "x3p",
+)  # of these, png is a picture; as a surface it would be depth
 SHEET, TILES = "sheet.png", 24  # the contact sheet of --view, and its frames at most
-
-
-def _formats(text: str) -> list[str]:
-    formats = [one.strip() for one in text.split(",") if one.strip()]
-    unknown = [one for one in formats if one not in FORMATS]
-    if unknown or not formats:
-        raise BadParameter(
-            f"expected formats among {', '.join(FORMATS)}, got {text!r}.", param_hint="--format"
-        )
-    return list(dict.fromkeys(formats))
 
 
 def reconstruct(
@@ -48,15 +44,12 @@ def reconstruct(
         ),
     ],
     given: Inputs,
-    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the results.")],
-    solver: Annotated[str, Option(help="Solver from slopes to depth; auto chooses.")] = "auto",
+    output: options.ResultFolder,
+    solver: options.Solver = "auto",
     formats: Annotated[
-        str,
-        Option(
-            "--format", help="What to write: npz, png (a picture), ply, stl, tiff, x3p; several: npz,png."
-        ),
+        str, Option("--format", help="npz, png (a picture), ply, stl, tiff, x3p; several: npz,png.")
     ] = "npz",
-    dataset: Dataset = "",
+    dataset: options.Dataset = "",
     skip_existing: Annotated[
         bool, Option("--skip-existing", help="Skip images that have results, to continue a run.")
     ] = False,
@@ -64,8 +57,8 @@ def reconstruct(
         bool, Option("--view", help="Open a picture of the result, or a contact sheet of several.")
     ] = False,
     strict: Annotated[bool, Option("--strict", help="Exit with status 1 if a result has a warning.")] = False,
-    accept_doubtful: AcceptDoubtful = False,
-    overwrite: Overwrite = False,
+    accept_doubtful: options.AcceptDoubtful = False,
+    overwrite: options.Overwrite = False,
     shown: ShownOption,
 ) -> None:
     """Reconstruct depth in mm from images.
@@ -90,22 +83,24 @@ def reconstruct(
       gelform reconstruct frame.png --sensor gelsight-mini --background rest.png -o out
       gelform reconstruct today/*.png -c cal.npz --background today_rest.png -o out --json
     """
-    wanted = _formats(formats)
+    wanted = list(dict.fromkeys(one.strip() for one in formats.split(",") if one.strip()))
+    if not wanted or not {*wanted} <= {*FORMATS}:
+        expected = f"expected formats among {', '.join(FORMATS)}, got {formats!r}."
+        raise BadParameter(expected, param_hint="--format")
     images, film = given.images_or_film(inputs, dataset)
     if film is not None:
         if wanted != ["npz"] or strict or skip_existing:
             only = "of a video or a recording, results are npz, and a run continues by itself."
             raise BadParameter(only, param_hint="--format, --strict, --skip-existing")
-        from gelform.cli.commands.batch import Frames, Machines, Results, Run, batch
-
         try:
             batch(
                 source=str(inputs[0]),
                 given=Frames(**vars(given), dataset=dataset),
                 output=output,
-                results=Results(keep="all", solver=solver),
-                machines=Machines(shard=(1, 1)),
-                run=Run(overwrite=overwrite),
+                keep="all",
+                solver=solver,
+                shard=(1, 1),
+                overwrite=overwrite,
                 accept_doubtful=accept_doubtful,
                 shown=shown,
             )
@@ -122,17 +117,19 @@ def reconstruct(
     todo = list(zip(images, paths))
     if skip_existing:
         todo = [pair for pair in todo if not all(path.exists() for path in pair[1].values())]
-    checked = [results for _, results in todo]
-    sheet = {"png": output / SHEET} if view and len(images) > 1 else {}
-    check_results([*checked, sheet], overwrite=overwrite or skip_existing, protected=protected)
+    new = [path for _, results in todo for path in results.values()]
+    sheet = [output / SHEET] if view and len(images) > 1 else []
+    overwrite = overwrite or skip_existing
+    check_results([*new, *sheet], overwrite=overwrite, protected=protected)
     if "png" in wanted:
         check_pictures()
     from gelform.depth.solvers import SOLVERS
 
-    one_of(solver, ("auto", *SOLVERS), "--solver")
+    options.one_of(solver, ("auto", *SOLVERS), "--solver")
     used = given.calibration_of(images, shown.quiet)
     with shown.progress() as progress:
-        run = given.reconstructor(used, solver=solver)
+        run, pitch = given.reconstructor(used, solver=solver), used.mm_per_px
+        unit = "px" if pitch is None else "mm"
         rows, failed, tiles, tally = [], [], [], FrameTally()
         for done, (path, results) in enumerate(todo):
             try:
@@ -142,11 +139,13 @@ def reconstruct(
             except (GelformError, MemoryError) as problem:
                 failed.append({"image": str(path), "error": one_line(reason(problem))})
             else:
-                _write(result, image, results, overwrite or skip_existing)
+                _write(result, image, results, overwrite)
                 rows.append(_row(result, path, results))
                 tally.add((one.name for one in result.health), known=bool(result.known.any()))
                 if sheet and (len(rows) - 1) % -(-len(todo) // TILES) == 0:
-                    tiles.append((result.depth, f"{path.parent.name}/{path.stem}", _note(rows[-1])))
+                    peak = figure(rows[-1][f"peak_{unit}"])
+                    note = f"{peak} {unit} {' '.join(one.name for one in result.health)}"
+                    tiles.append((result.depth, f"{path.parent.name}/{path.stem}", note))
             progress(done + 1, len(todo), "reconstructing")
     for one in failed:
         say(f"gelform: error: {one['error']}")
@@ -158,51 +157,33 @@ def reconstruct(
         from gelform.batch.run import contact_sheet
         from gelform.foundations.files import written_file
 
-        with written_file(sheet["png"], overwrite=overwrite or skip_existing) as file:
-            pitch = run.calibration.mm_per_px
-            file.write(contact_sheet(tiles, pitch, "px" if pitch is None else "mm"))
+        with written_file(sheet[0], overwrite=overwrite) as file:
+            file.write(contact_sheet(tiles, pitch, unit))
     if view and rows:
-        _open(sheet["png"] if sheet else paths[0]["png"], shown)
+        _open(sheet[0] if sheet else paths[0]["png"], shown)
     shown.json({"results": rows, "failed": failed})
     if failed or (strict and any(row["findings"] for row in rows)):
         raise typer.Exit(MISTAKE)
-    from gelform.cli.process import status_of
-
     raise typer.Exit(status_of(tally, accept_doubtful=accept_doubtful, quiet=True))
 
 
 def _open(picture: Path, shown: ShownOption) -> None:
-    import webbrowser
-
     shown.say(f"Look at {picture}.")
     webbrowser.open(picture.resolve().as_uri())
 
 
-def _note(row: dict[str, Any]) -> str:
-    peak = f"{figure(row['peak_mm'])} mm" if "peak_mm" in row else f"{figure(row['peak_px'])} px"
-    return f"{peak} {' '.join(finding['name'] for finding in row['findings'])}"
+def _write(result: gelform.Reconstruction, image: Image, results: dict[str, Path], overwrite: bool) -> None:
+    from gelform.exchange.plots import save_picture
+
+    for form, path in results.items():
+        make_folder(path.parent)
+        if form == "png":
+            save_picture(path, gelform.picture(result, image), overwrite=overwrite)
+        else:
+            save_by_name(result, path, overwrite=overwrite)
 
 
-def _write(
-    result: Reconstruction, image: NDArray[np.uint8], results: dict[str, Path], overwrite: bool
-) -> None:
-    from gelform.result import save_result
-
-    make_folder(next(iter(results.values())).parent)
-    if "npz" in results:
-        save_result(result, results["npz"], overwrite=overwrite)
-    for name in SURFACES:
-        if name in results:
-            from gelform.exchange.exporters.surface import save_surface
-
-            save_surface(result, results[name], overwrite=overwrite)
-    if "png" in results:
-        from gelform.exchange.plots import picture, save_picture
-
-        save_picture(results["png"], picture(result, image), overwrite=overwrite)
-
-
-def _row(result: Reconstruction, path: Path, results: dict[str, Path]) -> dict[str, Any]:
+def _row(result: gelform.Reconstruction, path: Path, results: dict[str, Path]) -> dict[str, Any]:
     """The figures of one result, for JSON and for the table: in pixels if the scale is unknown, None if depth is."""
     peak, area, pixels = ((n := result.numbers) and (n.peak, n.area, n.contact_px)) or (None, None, None)
     lengths = {"peak_px": peak} if result.mm_per_px is None else {"peak_mm": peak, "contact_mm2": area}
@@ -219,16 +200,14 @@ def _row(result: Reconstruction, path: Path, results: dict[str, Path]) -> dict[s
 
 
 def _report(rows: Sequence[dict[str, Any]], shown: ShownOption) -> None:
-    if not rows:
-        return
-    found = [(finding["name"], finding["message"]) for row in rows for finding in row["findings"]]
-    for name, count in Counter(name for name, _ in found).items():
-        message = next(text for other, text in found if other == name)
-        say(f"warning ({count} of {len(rows)} images): {message}")
-    scaled = "peak_mm" in rows[0]
-    keys = ("peak_mm", "contact_mm2") if scaled else ("peak_px", "contact_px")
-    table = [(row["outputs"][0], *(row[key] for key in (*keys, "curl_rms"))) for row in rows]
-    columns = ("peak (mm)", "contact (mm²)") if scaled else ("peak (px)", "contact (px)")
-    shown.table("Results", ("file", *columns, "curl (1/px)"), table)
-    if not (scaled or shown.silent):
-        say("The scale of this calibration is unknown, so results hold depth_px, not depth_mm.")
+    found = [finding for row in rows for finding in row["findings"]]
+    first = {finding["name"]: finding["message"] for finding in reversed(found)}
+    for name, count in Counter(finding["name"] for finding in found).items():
+        say(f"warning ({count} of {len(rows)} images): {first[name]}")
+    scaled = all("peak_mm" in row for row in rows)
+    lengths = {"peak_mm": "peak (mm)", "contact_mm2": "contact (mm²)"}
+    columns = lengths if scaled else {"peak_px": "peak (px)", "contact_px": "contact (px)"}
+    table = [{"file": row["outputs"][0], **row} for row in rows]
+    shown.table("Results", {"file": "file", **columns, "curl_rms": "curl (1/px)"}, table)
+    if not scaled:
+        say("The scale of this calibration is unknown, so results hold depth_px, not depth_mm.", shown.silent)

@@ -13,29 +13,17 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 from typer import Argument, Option
 
-from gelform.cli.console import say
-from gelform.cli.files import Inputs, check_output
-from gelform.cli.options import (
-    ALL_TOPICS,
-    USUAL_TOPICS,
-    AcceptDoubtful,
-    Overwrite,
-    ShownOption,
-    number,
-    numbers,
-    usage_errors,
-)
-from gelform.cli.process import DOUBT, mistakes_in
-from gelform.errors import DataError
-from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, check_sensor_name, check_topics
+import gelform
+from gelform import DataError, robots
+from gelform.cli import options
+from gelform.cli.console import ShownOption, say
+from gelform.cli.files import Inputs, check_output, save_by_name
+from gelform.cli.options import usage_errors
+from gelform.cli.process import DOUBT, mistakes_in, status_of
+from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, USUAL, check_sensor_name, check_topics
 
 if TYPE_CHECKING:
-    from gelform.calibration_file import Calibration
-    from gelform.motion.track import Tracked
-    from gelform.result import Reconstruction
-    from gelform.robots.send import SentStats
     from gelform.sensors.streams.memory import StreamFrame
-    from gelform.sensors.streams.stream import Stream
 
 PRIOR = "MM,DEG"
 
@@ -44,28 +32,31 @@ PRIOR = "MM,DEG"
 class Sent:
     """Topics of a source, their prefix, and the duration."""
 
-    topics: Annotated[str, Option(metavar="A,B", help=f"Topics, of {ALL_TOPICS}.")] = USUAL_TOPICS
+    topics: Annotated[str, Option(metavar="A,B", help=f"Topics, of {','.join(TOPICS)}.")] = ",".join(USUAL)
     name: Annotated[
-        str | None,
-        Option(metavar="NAME", help="Prefix of topics and frames; else the calibration's sensor."),
+        str | None, Option(metavar="NAME", help="Prefix of topics and frames; else the calibration's sensor.")
     ] = None
-    seconds: Annotated[float | None, number("Duration in seconds; else to the end or Ctrl-C.")] = None
-    accept_doubtful: AcceptDoubtful = False
+    seconds: options.Seconds = None
+    accept_doubtful: options.AcceptDoubtful = False
 
-    def wanted(self) -> tuple[str, ...]:
-        """The topics by name; raises a usage error for an unknown topic or an invalid name."""
+    def settings(self) -> dict[str, Any]:
+        """Keywords of `save_bag` and `publish`; raises a usage error for an unknown topic or an invalid name."""
         with usage_errors("--topics"):
-            wanted = check_topics(one.strip() for one in self.topics.split(",") if one.strip())
+            topics = check_topics(one.strip() for one in self.topics.split(",") if one.strip())
         with usage_errors("--name"):
             if self.name is not None:
                 check_sensor_name(self.name)
-        return wanted
+        return {"topics": topics, "sensor": self.name, "seconds": self.seconds}
 
-    def settings(self, given: Inputs, calibration: Calibration) -> dict[str, Any]:
-        """Keywords of `save_bag` and `publish`."""
-        background = given.background_for(calibration)
-        named = {"topics": self.wanted(), "sensor": self.name, "seconds": self.seconds}
-        return {**named, "background": background, "bgr": given.bgr}
+    def end(
+        self, stats: robots.SentStats, topics: tuple[str, ...], shown: ShownOption, **made: Path
+    ) -> NoReturn:
+        """Say the figures, and end with the frames' status."""
+        shown.json({**made, **asdict(stats), "topics": [TOPICS[one].of(stats.sensor) for one in topics]})
+        status = status_of(stats.tally, accept_doubtful=self.accept_doubtful, quiet=shown.silent)
+        if stats.problem:
+            say(f"The last frame: {stats.problem}")
+        raise typer.Exit(status)
 
 
 def bag(
@@ -74,7 +65,7 @@ def bag(
         str, Argument(metavar="INPUT", help="Recording, video, folder, serial, name, URL, or simulated.")
     ],
     given: Inputs,
-    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="A new folder: the bag of ROS 2.")],
+    output: Annotated[Path, options.output("DIR", "A new folder: the bag of ROS 2.")],
     sent: Sent,
     shown: ShownOption,
 ) -> None:
@@ -93,17 +84,17 @@ def bag(
       gelform bag video.mp4 --sensor digit --background rest.png -o press_bag
       gelform bag video.mp4 -c cal.npz -o press_bag --topics indentation,diagnostics
     """
-    from gelform.robots.send import save_bag
-
-    wanted = sent.wanted()
+    settings = sent.settings()
     loaded = given.calibration_of(source, shown.quiet)
+    background = given.background_for(loaded)
     with shown.progress() as progress:
-        stats = save_bag(source, loaded, output, **sent.settings(given, loaded), progress=progress)
+        stats = robots.save_bag(
+            source, loaded, output, background=background, bgr=given.bgr, **settings, progress=progress
+        )
     shown.say(f"Wrote {output}: {stats.frames} frames in {stats.duration_s:.1f} s, {stats.drops} dropped.")
     if not stats.stamped:
         shown.say("The frames have no capture time, so their stamps begin now.")
-    shown.json({"bag": output, **asdict(stats), "topics": [TOPICS[one].of(stats.sensor) for one in wanted]})
-    _end(stats, sent, shown)
+    sent.end(stats, settings["topics"], shown, bag=output)
 
 
 def ros(
@@ -132,32 +123,28 @@ def ros(
       gelform ros 2BKRXXXX -c cal.npz --name left_finger --topics indentation,diagnostics
       gelform ros session.mcap -c cal.npz --router tcp/192.168.1.5:7447 --domain 7
     """
-    from gelform.robots.send import publish
-
-    wanted = sent.wanted()
+    settings = {**sent.settings(), "router": router, "domain": domain, "bgr": given.bgr}
     loaded = given.calibration_of(source, shown.quiet)
+    background = given.background_for(loaded)
     with mistakes_in("ros"), shown.progress() as progress:
-        settings = {**sent.settings(given, loaded), "router": router, "domain": domain}
-        stats = publish(source, loaded, **settings, progress=progress)
+        stats = robots.publish(source, loaded, background=background, **settings, progress=progress)
     shown.say(f"Published {stats.frames} frames in {stats.duration_s:.1f} s, {stats.drops} dropped.")
-    shown.json({**asdict(stats), "topics": [TOPICS[one].of(stats.sensor) for one in wanted]})
-    _end(stats, sent, shown)
+    sent.end(stats, settings["topics"], shown)
 
 
 def track(
     *,
     source: Annotated[str, Argument(metavar="INPUT", help="Recording, video, folder, serial, name or URL.")],
     given: Inputs,
-    output: Annotated[Path, Option("--output", "-o", metavar="CSV", help="Table of the poses.")],
+    output: Annotated[Path, options.output("CSV", "Table of the poses.")],
     surface: Annotated[
-        Path | None,
-        Option(metavar="FILE", help="Also one surface of all keyframes: .npz, .ply, .stl, .tiff or .x3p."),
+        Path | None, Option(metavar="FILE", help="A surface of all keyframes: .npz, .ply, .stl, .tiff, .x3p.")
     ] = None,
     prior: Annotated[
         str | None,
-        Option(metavar=PRIOR, help="Motion from a frame to the next, standard deviations in mm and degrees."),
+        Option(metavar=PRIOR, help="Motion between frames: standard deviations in mm and degrees."),
     ] = None,
-    overwrite: Overwrite = False,
+    overwrite: options.Overwrite = False,
     shown: ShownOption,
 ) -> None:
     """Follow the object that touches: a pose for each frame.
@@ -172,24 +159,28 @@ def track(
       gelform track video.mp4 -c cal.npz -o track.csv --prior 0.1,0.5
       gelform track session.mcap -c cal.npz -o track.csv --surface plate.ply
     """
+    from gelform.exchange.exporters.surface import SURFACES
     from gelform.motion.between import LOST, checked_prior
     from gelform.motion.track import Follower
-    from gelform.sensors.source import open_source
-    from gelform.sensors.streams.stream import stream
+    from gelform.sensors.films import is_film, open_film
 
-    spread = None if prior is None else numbers(prior, PRIOR, "--prior")
+    spread = None if prior is None else options.numbers(prior, PRIOR, "--prior")
     in_rad = None if spread is None else (spread[0], math.radians(spread[1]))
     with usage_errors("--prior"):
         checked_prior(in_rad)
-    for path in filter(None, (output, surface)):
-        check_output(path, overwrite=overwrite)
+    if surface is not None:
+        options.one_of(surface.suffix.lower(), (".npz", *SURFACES), "--surface")
+        check_output(surface, overwrite=overwrite)
+    check_output(output, overwrite=overwrite)
     loaded = given.calibration_of(source, shown.quiet)
     known, follow = given.background_for(loaded), Follower(in_rad, loaded.settings.place_error)
-    poses: list[Tracked] = []
-    total = frames_stated(source)
-    results: dict[int, Reconstruction] = {}  # for a surface: of the keyframes, and the last two frames
-    opened = partial(open_source, source, bgr=given.bgr)
-    with shown.progress() as progress, stream(opened, loaded, background=known) as running:
+    poses: list[gelform.Tracked] = []
+    total = open_film(Path(source)).count if is_film(source) else 0
+    results: dict[
+        int, gelform.Reconstruction
+    ] = {}  # for a surface: of the keyframes, and the last two frames
+    opened = partial(gelform.open_source, source, bgr=given.bgr)
+    with shown.progress() as progress, gelform.stream(opened, loaded, background=known) as running:
         for number, one in enumerate(_frames_of(source, running)):
             poses.append(follow(one.result))
             if surface is not None:
@@ -203,14 +194,11 @@ def track(
     states = Counter(pose.motion.state for pose in poses)
     shown.say(f"Wrote {output}: {', '.join(f'{count} {state}' for state, count in states.items())}.")
     reasons = Counter(pose.motion.why.partition(":")[0] for pose in poses if pose.motion.state == LOST)
-    if reasons:
-        shown.table("Frames without a pose", ("reason", "frames"), reasons.most_common())
+    shown.table("Frames without a pose", ("reason", "frames"), reasons.most_common())
     if surface is not None:
-        from gelform.motion.track import mosaic
-
         chosen = [k for k in results if poses[k].motion.pose is not None]
-        whole = mosaic([results[k] for k in chosen], [poses[k] for k in chosen])
-        _write_surface(whole, surface, overwrite)
+        whole = gelform.mosaic([results[k] for k in chosen], [poses[k] for k in chosen])
+        save_by_name(whole, surface, overwrite=overwrite)
         shown.say(f"Wrote {surface}: {len(chosen)} contacts as one surface.")
     shown.json(
         {"track": output, "frames": len(poses), "states": dict(states), "lost_by_reason": dict(reasons)}
@@ -223,20 +211,13 @@ def track(
         raise typer.Exit(DOUBT)
 
 
-def _frames_of(source: str, running: Stream) -> Iterator[StreamFrame]:
+def _frames_of(source: str, running: gelform.Stream) -> Iterator[StreamFrame]:
     """The frames of a source; a DataError names it where one is of another size."""
     with mistakes_in(source):
         yield from running.pairs()
 
 
-def frames_stated(source: str) -> int:
-    """The number of frames that a video, a folder or a file of several images has; 0 for other sources."""
-    from gelform.sensors.films import is_film, open_film
-
-    return open_film(Path(source)).count if is_film(source) else 0
-
-
-def _write_poses(poses: list[Tracked], path: Path, overwrite: bool) -> None:
+def _write_poses(poses: list[gelform.Tracked], path: Path, overwrite: bool) -> None:
     import numpy as np
 
     from gelform.foundations.files import table_text, written_file
@@ -260,23 +241,3 @@ def _write_poses(poses: list[Tracked], path: Path, overwrite: bool) -> None:
         )
     with written_file(path, overwrite=overwrite) as file:
         file.write(table_text(rows).encode())
-
-
-def _write_surface(whole: Reconstruction, path: Path, overwrite: bool) -> None:
-    if path.suffix == ".npz":
-        from gelform.result import save_result
-
-        save_result(whole, path, overwrite=overwrite)
-    else:
-        from gelform.exchange.exporters.surface import save_surface
-
-        save_surface(whole, path, overwrite=overwrite)
-
-
-def _end(stats: SentStats, sent: Sent, shown: ShownOption) -> NoReturn:
-    from gelform.cli.process import status_of
-
-    status = status_of(stats.tally, accept_doubtful=sent.accept_doubtful, quiet=shown.silent)
-    if stats.problem:
-        say(f"The last frame: {stats.problem}")
-    raise typer.Exit(status)

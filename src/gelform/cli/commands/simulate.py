@@ -1,38 +1,35 @@
-"""gelform simulate: images with exact truth; gelform design: which LED layout gives the least depth error."""
+"""gelform simulate: images with exact truth; gelform design: which LED layout gives the least depth error.
+
+gelform demo: the whole path on a simulated sensor, compared with the truth.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import check_pictures, say
-from gelform.cli.files import check_output
-from gelform.cli.options import (
-    FORMS,
-    LAYOUTS,
-    SENSORS,
-    Overwrite,
-    Seed,
-    ShownOption,
-    listed,
-    number,
-    one_of,
-    pitch,
-    usage_errors,
-)
+import gelform
+from gelform import sensors
+from gelform import simulate as simulator
+from gelform.cli import options
+from gelform.cli.console import ShownOption, check_pictures, json_bytes, say
+from gelform.cli.files import check_output, content_of, write_report
+from gelform.cli.options import LAYOUTS, listed, number, one_of, usage_errors
 from gelform.cli.process import mistakes_in
+from gelform.sensors.profiles import SENSORS
 
-if TYPE_CHECKING:
-    from gelform.simulate import HeightMap, SimulatedSensor
-    from gelform.simulate.twin import Twin
-
-
-GRAY_SHAPE, GRAY_LEVEL = (240, 320, 3), 110.0  # background for tables without one: shape and gray level
-TABLES_NOISE = 1.0  # gray levels, assumed noise: the tables state none
-
+LAYOUT, PRESSES, SEED = "three-edges", 24, 7
+DEMO_COLUMNS = {  # of the table: heading and format of each error
+    "true_peak_mm": ("true peak (mm)", "{:.3f}"),
+    "peak_mm": ("peak (mm)", "{:.3f}"),
+    "peak_ratio": ("ratio", "{:.1%}"),
+    "rmse_um": ("depth RMSE (um)", "{:.1f}"),
+    "rmse_contact_um": ("RMSE in contact (um)", "{:.1f}"),
+    "normal_contact_deg": ("normals (°)", "{:.1f}"),
+}
 DESIGN_COLUMNS = {
     "design": "design",
     "depth_rmse_um": "depth RMSE (um)",
@@ -43,77 +40,42 @@ DESIGN_COLUMNS = {
 }
 
 
-@dataclass(frozen=True)
-class LookOptions:
-    """The sensor to imitate, instead of a simulated one."""
-
-    like: Annotated[
-        Path | None,
-        Option(metavar="CAL.npz", help="Imitate this calibrated sensor, or Taxim's tables."),
-    ] = None
-    background: Annotated[
-        Path | None, Option(metavar="IMG", help="Background image for Taxim's tables. Default: gray.")
-    ] = None
-    mm_per_px: Annotated[
-        float | None, number("Width of a background pixel on the gel, mm, for the tables.", pitch)
-    ] = None
-
-
-@dataclass(frozen=True)
-class Balls:
-    """A set of ball presses."""
-
-    count: Annotated[int, Option(min=1, help="Number of ball presses.")] = 40
-    loads: Annotated[
-        bool, Option("--loads", help="Write loads.csv for gelform force: 0.1 N per mm^3 of displaced gel.")
-    ] = False
-    ball_diameter_mm: Annotated[list[float], number("Diameter of a ball, mm; several alternate.")] = (
-        6.0,
-        9.0,
-    )  # type: ignore[assignment]  # typer makes a list of it
-
-
-@dataclass(frozen=True)
-class Face:
-    """Another object to press: a height map."""
-
-    height_map: Annotated[
-        Path | None, Option(metavar="FILE.npy", help="Press this height map: heights in mm.")
-    ] = None
-    height_map_mm_per_px: Annotated[float | None, number("Sample pitch of the height map, mm.")] = None
-    depth_mm: Annotated[float, number("Depth of the height map, or of the coin of --as, mm.")] = 0.5
-
-    def read(self) -> HeightMap | None:
-        """The object to press; None for balls."""
-        from gelform.foundations.files import read_npy
-        from gelform.simulate import HeightMap
-
-        if self.height_map is None:
-            return None
-        if self.height_map_mm_per_px is None:
-            raise BadParameter("needed with --height-map.", param_hint="--height-map-mm-per-px")
-        heights = read_npy(self.height_map, "heights in mm")
-        with mistakes_in(self.height_map):
-            return HeightMap(heights, self.height_map_mm_per_px)
-
-
 def simulate(
     *,
-    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="A new or empty folder.")],
+    output: options.NewFolder,
     sensor: Annotated[
         str | None,
         Option(
             metavar="NAME|FILE.toml",
-            help=f"{listed(LAYOUTS + SENSORS)} ({LAYOUTS[0]} by default); or your own as TOML.",
+            help=f"{listed((*LAYOUTS, *SENSORS))} ({LAYOUTS[0]} by default); or your own as TOML.",
         ),
     ] = None,
-    look: LookOptions,
-    balls: Balls,
-    face: Face,
+    like: Annotated[
+        Path | None, Option(metavar="CAL.npz", help="Imitate this calibrated sensor, or Taxim's tables.")
+    ] = None,
+    background: Annotated[
+        Path | None, Option(metavar="IMG", help="Background image for Taxim's tables. Default: gray.")
+    ] = None,
+    mm_per_px: Annotated[
+        float | None, number("Width of a background pixel on the gel, mm, for the tables.", options.pitch)
+    ] = None,
+    count: Annotated[int, Option(min=1, help="Number of ball presses.")] = 40,
+    loads: Annotated[
+        bool, Option("--loads", help="Write loads.csv for gelform force: 0.1 N per mm^3 of displaced gel.")
+    ] = False,
+    ball_diameter_mm: Annotated[list[float], number("Diameter of a ball, mm; several alternate.")] = (
+        6.0,
+        9.0,
+    ),  # type: ignore[assignment]  # typer makes a list of it
+    height_map: Annotated[
+        Path | None, Option(metavar="FILE.npy", help="Press this height map: heights in mm.")
+    ] = None,
+    height_map_mm_per_px: Annotated[float | None, number("Sample pitch of the height map, mm.")] = None,
+    depth_mm: Annotated[float, number("Depth of the height map, or of the coin of --as, mm.")] = 0.5,
     forms: Annotated[
-        str, Option("--as", metavar="FORM,...", help=f"Also write a moving press: {', '.join(FORMS)}.")
+        str, Option("--as", metavar="FORM,...", help=f"Also a moving press: {', '.join(options.FORMS)}.")
     ] = "",
-    seed: Seed = 0,
+    seed: options.Seed = 0,
     workers: Annotated[int, Option(min=1, help="Number of processes; any number gives the same bytes.")] = 1,
     shown: ShownOption,
 ) -> None:
@@ -140,79 +102,69 @@ def simulate(
       gelform simulate -o loads --loads --count 12
       gelform simulate -o key --height-map key.npy --height-map-mm-per-px 0.02 --depth-mm 0.6
     """
+    from gelform.exchange.exporters import SetOfPresses, save_simulated_press, save_simulated_set
     from gelform.exchange.exporters.moving import check_forms, save_moving_press
-    from gelform.simulate import Coin
+    from gelform.foundations.files import read_npy
     from gelform.simulate.press import check_press_depth
 
-    if None not in (sensor, look.like):
+    if None not in (sensor, like):
         raise BadParameter("give one sensor.", param_hint="--sensor, --like")
-    twin = _twin_of(look)
+    twin = _twin_of(like, background, mm_per_px)
     made = twin.sensor if twin is not None else sensor_of(sensor or LAYOUTS[0])
-    pressed = face.read()
-    moving = [one_of(name.strip(), FORMS, "--as") for name in forms.split(",")] if forms else []
+    pressed = None
+    if height_map is not None:
+        if height_map_mm_per_px is None:
+            raise BadParameter("needed with --height-map.", param_hint="--height-map-mm-per-px")
+        heights = read_npy(height_map, "heights in mm")
+        with mistakes_in(height_map):
+            pressed = simulator.HeightMap(heights, height_map_mm_per_px)
+    moving = [one_of(name.strip(), options.FORMS, "--as") for name in forms.split(",")] if forms else []
     check_forms(moving)
     if pressed or moving:
         with usage_errors("--depth-mm"):
-            check_press_depth(made, face.depth_mm)
+            check_press_depth(made, depth_mm)
     with shown.progress() as progress:
         if pressed is not None:
-            from gelform.exchange.exporters.press_folder import save_simulated_press
-
-            save_simulated_press(output, made, pressed, depth_mm=face.depth_mm, seed=seed, twin=twin)
+            save_simulated_press(output, made, pressed, depth_mm=depth_mm, seed=seed, twin=twin)
         else:
-            from gelform.exchange.exporters.press_folder import SetOfPresses, save_simulated_set
-
             oversample = 1 if twin is not None else 3  # a twin answers to the slope at the pixel's center
-            diameters = tuple(balls.ball_diameter_mm)
             with usage_errors("--ball-diameter-mm"):
-                wanted = SetOfPresses(made, diameters, balls.count, seed, oversample, twin)
-            save_simulated_set(output, wanted, workers=workers, loads=balls.loads, progress=progress)
+                wanted = SetOfPresses(made, tuple(ball_diameter_mm), count, seed, oversample, twin)
+            save_simulated_set(output, wanted, workers=workers, loads=loads, progress=progress)
         if moving:
-            what = (twin or made, pressed or Coin(), moving, face.depth_mm, seed)
-            save_moving_press(output / "moving", *what)
+            pressed_along = pressed or simulator.Coin()
+            save_moving_press(output / "moving", twin or made, pressed_along, moving, depth_mm, seed)
     say(f"Wrote {output}.", shown.silent)
-    presses = balls.count if pressed is None else 1
-    name = made.name if look.like is None else f"like {look.like}"
+    presses = count if pressed is None else 1
+    name = made.name if like is None else f"like {like}"
     shown.json({"folder": output, "sensor": name, "presses": presses, "seed": seed, "as": moving})
 
 
-def sensor_of(name_or_file: str) -> SimulatedSensor:
+def sensor_of(name_or_file: str) -> simulator.SimulatedSensor:
     """A ready-made sensor by name, or one from a TOML file."""
-    from gelform.sensors.simulated import read_simulated_sensor, simulated_sensor_named
-
     if name_or_file.endswith(".toml"):
-        return read_simulated_sensor(name_or_file)
+        return sensors.read_simulated_sensor(name_or_file)
     with usage_errors("--sensor"):
-        return simulated_sensor_named(name_or_file)
+        return sensors.simulated_sensor_named(name_or_file)
 
 
-def _twin_of(look: LookOptions) -> Twin | None:
+def _twin_of(like: Path | None, background: Path | None, mm_per_px: float | None) -> simulator.Twin | None:
     """A twin of a calibration or of Taxim's tables; None without either."""
-    from gelform.calibration_file import load_calibration
-    from gelform.exchange.importers.tables import is_taxim_forward
-    from gelform.simulate.twin import Twin
-
-    if look.like is not None and look.like.is_file() and is_taxim_forward(look.like):
-        return _twin_of_tables(look.like, look)
-    for given, name in ((look.background, "--background"), (look.mm_per_px, "--mm-per-px")):
-        if given is not None:
-            raise BadParameter("is for --like with Taxim's tables only.", param_hint=name)
-    return None if look.like is None else Twin(load_calibration(look.like))
-
-
-def _twin_of_tables(path: Path, look: LookOptions) -> Twin:
     import numpy as np
 
-    from gelform.exchange.importers.tables import TaximLook, read_taxim_forward
-    from gelform.sensors.files import read_image
-    from gelform.simulate.twin import Twin
+    from gelform.exchange.importers.tables import TaximLook, is_taxim_forward, read_taxim_forward
 
-    if look.mm_per_px is None:
-        raise BadParameter("needed with Taxim's tables: they hold none.", param_hint="--mm-per-px")
-    untouched = np.full(GRAY_SHAPE, GRAY_LEVEL) if look.background is None else read_image(look.background)
-    noise = np.full(3, TABLES_NOISE)
-    tables = read_taxim_forward(path)
-    return Twin(TaximLook(tables, untouched.astype(np.float32), look.mm_per_px, noise))
+    if like is not None and like.is_file() and is_taxim_forward(like):
+        if mm_per_px is None:
+            raise BadParameter("needed with Taxim's tables: they hold none.", param_hint="--mm-per-px")
+        untouched = np.full((240, 320, 3), 110.0) if background is None else gelform.read_image(background)
+        noise = np.full(3, 1.0)  # gray levels: the tables state none
+        tables = read_taxim_forward(like)
+        return simulator.Twin(TaximLook(tables, untouched.astype(np.float32), mm_per_px, noise))
+    for given, name in ((background, "--background"), (mm_per_px, "--mm-per-px")):
+        if given is not None:
+            raise BadParameter("is for --like with Taxim's tables only.", param_hint=name)
+    return None if like is None else simulator.Twin(gelform.load_calibration(like))
 
 
 def design(
@@ -220,12 +172,10 @@ def design(
     sensor: Annotated[
         str, Argument(metavar="SENSOR.toml", help="A simulated sensor, or the name of a ready-made one.")
     ],
-    output: Annotated[
-        Path | None, Option("--output", "-o", metavar="FILE.png", help="A picture of the study.")
-    ] = None,
+    output: Annotated[Path | None, options.output("FILE.png", "A picture of the study.")] = None,
     presses: Annotated[int, Option(min=4, help="Number of ball presses that calibrate each design.")] = 14,
-    seed: Seed = 0,
-    overwrite: Overwrite = False,
+    seed: options.Seed = 0,
+    overwrite: options.Overwrite = False,
     shown: ShownOption,
 ) -> None:
     """Compare designs of a sensor before it is built.
@@ -242,7 +192,7 @@ def design(
     """
     import numpy as np
 
-    from gelform.calibration.design import compare_designs
+    from gelform.calibration.design import compare_designs, design_picture
 
     chosen = sensor_of(sensor)
     if output is not None:
@@ -251,7 +201,6 @@ def design(
     with shown.progress() as progress:
         results = compare_designs(chosen, presses=presses, seed=seed, progress=progress)
     if output is not None:
-        from gelform.calibration.design import design_picture
         from gelform.exchange.plots import save_picture
 
         save_picture(output, design_picture(results), overwrite=overwrite)
@@ -270,3 +219,95 @@ def design(
     shown.table(f"Designs of {chosen.name}", DESIGN_COLUMNS, rows)
     if output is not None and not shown.as_json:
         shown.say(f"Wrote {output}.")
+
+
+def demo(*, output: options.NewFolder = Path("gelform-demo"), shown: ShownOption) -> None:
+    """Try everything without a sensor, on a simulated one.
+
+    The command calibrates the sensor, reconstructs objects and compares them with the truth.
+
+    It writes DIR/presses (a press folder), DIR/calibration.npz and DIR/report. For each of four objects (a ball, a coin-like
+    relief, a screw thread, a ball cut by the border) it writes image, result and picture.
+
+    \b
+    Examples:
+      gelform demo
+      gelform demo -o somewhere --json
+    """
+    import numpy as np
+
+    from gelform.exchange.exporters.press_folder import written_whole
+
+    check_pictures()
+    started = time.monotonic()
+    with written_whole(output) as folder, shown.progress() as progress:
+        simulated = simulator.simulate_ball_presses(
+            simulator.LAYOUTS[LAYOUT],
+            ball_diameters_mm=(6.0, 9.0),
+            count=PRESSES,
+            rng=np.random.default_rng(SEED),
+            progress=progress,
+        )
+        gelform.save_simulated_presses(folder / "presses", simulated)
+        presses = gelform.read_presses(folder / "presses", progress=progress)
+        calibration = gelform.calibrate(presses, progress=progress)
+        calibration.save(folder / "calibration.npz")
+        content = content_of(presses, calibration, progress, with_learning=False)
+        write_report(content, presses, calibration, folder / "report", overwrite=False)
+        errors = {}
+        for done, (name, press) in enumerate(_objects(simulated.sensor)):
+            progress(done, 4, "reconstructing objects")
+            errors[name] = _compared(folder, name, press, calibration)
+            progress(done + 1, 4, "reconstructing objects")
+        (folder / "errors.json").write_bytes(json_bytes(errors))
+    shown.json({"folder": output, "seconds": time.monotonic() - started, "errors": errors})
+    rows = [
+        (name, *(form.format(row[key]).replace("%", " %") for key, (_, form) in DEMO_COLUMNS.items()))
+        for name, row in errors.items()
+    ]
+    headings = (heading for heading, _ in DEMO_COLUMNS.values())
+    shown.table("Errors against the true surfaces", ("object", *headings), rows)
+    if not shown.as_json:
+        shown.say(f"Wrote {output} in {time.monotonic() - started:.0f} s. Look at {output / 'coin.png'}.")
+
+
+def _objects(sensor: simulator.SimulatedSensor) -> list[tuple[str, simulator.SimulatedPress]]:
+    import numpy as np
+
+    rng = np.random.default_rng(SEED + 1)
+    edge = sensor.shape[1] / 2 * sensor.mm_per_px
+    scenes: list[tuple[str, simulator.Indenter, float, tuple[float, float]]] = [
+        ("ball", simulator.Ball(3.5), 0.7, (-1.5, 1.0)),
+        ("coin", simulator.Coin(), 0.35, (0.0, 0.0)),
+        ("screw", simulator.Screw(), 0.4, (0.5, -0.5)),
+        ("border", simulator.Ball(3.5), 0.7, (edge - 1.0, 1.5)),
+    ]
+    return [
+        (name, simulator.simulate_press(sensor, indenter, depth_mm=depth, center_mm=center, rng=rng))
+        for name, indenter, depth, center in scenes
+    ]
+
+
+def _compared(
+    folder: Path, name: str, press: simulator.SimulatedPress, calibration: gelform.Calibration
+) -> dict[str, float]:
+    """Reconstruct one object with the calibration, and compare it with the truth."""
+    import numpy as np
+
+    from gelform.exchange.plots import save_picture
+    from gelform.result.metrics import angle_deg
+
+    found = gelform.Reconstructor(calibration).from_image(press.image)
+    save_picture(folder / f"{name}_image.png", press.image)
+    gelform.save_result(found, folder / f"{name}.npz")
+    save_picture(folder / f"{name}.png", gelform.picture(found, press.image))
+    error_um = 1e3 * (found.depth_mm - press.depth_mm)
+    peak = float(press.depth_mm.max())
+    return {
+        "true_peak_mm": peak,
+        "peak_mm": found.peak_mm,
+        "peak_ratio": found.peak_mm / peak,
+        "rmse_um": float(np.sqrt(np.mean(error_um**2))),
+        "rmse_contact_um": float(np.sqrt(np.mean(error_um[press.contact] ** 2))),
+        "normal_contact_deg": float(angle_deg(found.gradients, press.gradients)[press.contact].mean()),
+    }

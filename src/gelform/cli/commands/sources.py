@@ -1,10 +1,14 @@
-"""gelform cameras: the connected cameras; gelform record: frames into a file, or background and presses."""
+"""gelform cameras: the connected cameras; gelform record: frames into a file, or background and presses.
+
+gelform live: the page that shows a sensor while it is touched.
+"""
 
 from __future__ import annotations
 
 import os
 import sys
 import time
+import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -14,19 +18,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, BadParameter, Option
 
-from gelform.cli.console import print_json, say
-from gelform.cli.options import Bgr, MmPerPx, Sensor, ShownOption, ball_diameter, number, usage_errors
-from gelform.errors import CalibrationError, DataError, GelformError
+import gelform
+from gelform import CalibrationError, DataError, GelformError
+from gelform.cli import options
+from gelform.cli.console import ShownOption, print_json, say, show
+from gelform.cli.options import number, usage_errors
+from gelform.cli.process import mistakes_in
+from gelform.sensors.profiles import check_gel_width
 
 if TYPE_CHECKING:
     from gelform.sensors.cameras import Camera
-    from gelform.sensors.grabber import Grabber, GrabberStats
+    from gelform.sensors.grabber import GrabberStats
     from gelform.sensors.record import RecordStats
 
-
 MEASURED_S, FIRST_S = 1.0, 3.0  # s: time in which frames are counted; longest wait for the first frame
-MOST_MISSING = 0.05  # of a recording's frames; more is a warning
-POLL_S = 0.05  # s between checks of the keyboard on Windows
 BACKGROUND_FRAMES, FRESH_S = 10, 5.0  # frames to average; s within which a frame must arrive
 
 
@@ -40,35 +45,26 @@ def single_keys(purpose: str) -> Iterator[Callable[[], str]]:
         raise DataError(
             f"{purpose} takes keys from a terminal, and standard input is none. Run it in a terminal."
         )
-    with _of_windows() if sys.platform == "win32" else _of_terminal() as read:
+    if sys.platform == "win32":
+        import msvcrt
+
+        def read() -> str:
+            while not msvcrt.kbhit():
+                time.sleep(0.05)  # Ctrl-C interrupts the sleep, but not a wait for a key
+            return str(msvcrt.getwch())
+
         yield read
-
-
-@contextmanager
-def _of_terminal() -> Iterator[Callable[[], str]]:
+        return
     import termios
     import tty
 
     handle = sys.stdin.fileno()
     before = termios.tcgetattr(handle)
-
     try:
         tty.setcbreak(handle)  # Ctrl-C still interrupts
         yield lambda: os.read(handle, 1).decode("latin-1")
     finally:
         termios.tcsetattr(handle, termios.TCSADRAIN, before)
-
-
-@contextmanager
-def _of_windows() -> Iterator[Callable[[], str]]:
-    import msvcrt
-
-    def read() -> str:
-        while not msvcrt.kbhit():  # type: ignore[attr-defined]
-            time.sleep(POLL_S)  # Ctrl-C interrupts the sleep, but not a wait for a key
-        return str(msvcrt.getwch())  # type: ignore[attr-defined]
-
-    yield read
 
 
 def cameras(
@@ -107,11 +103,7 @@ def cameras(
 def _camera_facts(camera: Camera, measure: bool) -> dict[str, Any]:
     """A camera as it is listed; if measured, its settings and its rate over a second, or why it gives no frames."""
     facts: dict[str, Any] = {
-        "name": camera.name,
-        "serial": camera.serial,
-        "path": camera.path,
-        "by_path": camera.by_path,
-        "usb_id": camera.usb_id,
+        **{name: getattr(camera, name) for name in ("name", "serial", "path", "by_path", "usb_id")},
         "sensor": camera.kind,
         "rate_hz": None,
         "settings": {},
@@ -120,10 +112,9 @@ def _camera_facts(camera: Camera, measure: bool) -> dict[str, Any]:
     if not measure:
         return facts
     from gelform.sensors.cameras import UsbCamera
-    from gelform.sensors.grabber import Grabber
 
     try:
-        with Grabber(lambda: UsbCamera(camera)) as grabber:
+        with gelform.Grabber(lambda: UsbCamera(camera)) as grabber:
             facts["settings"] = grabber.settings
             if grabber.newest(-1, FIRST_S) is None:
                 facts["problem"] = "it opens, but gives no frame"
@@ -142,29 +133,24 @@ class PressesTaken:
     presses: Annotated[
         bool, Option("--presses", help="Take a background and presses with the space bar, for calibrate.")
     ] = False
-    ball_diameter_mm: Annotated[float | None, number("Diameter of the ball, mm.", ball_diameter)] = None
-    sensor: Sensor = None
-    mm_per_px: MmPerPx = None
+    ball_diameter_mm: Annotated[float | None, number("Diameter of the ball, mm.", options.ball_diameter)] = (
+        None
+    )
+    sensor: options.Sensor = None
+    mm_per_px: options.MmPerPx = None
 
 
 def record(
     *,
     source: Annotated[
-        str,
-        Argument(metavar="[SOURCE]", help="Serial, name, path, URL or simulated. Default: the only camera."),
+        str, Argument(metavar="[SOURCE]", help="Serial, name, path, URL or simulated; else the only camera.")
     ] = "",
-    output: Annotated[
-        Path,
-        Option("--output", "-o", metavar="FILE.mcap|DIR", help="A new file; a new folder with --presses."),
-    ],
-    seconds: Annotated[float | None, number("Duration in seconds; else until Ctrl-C.")] = None,
+    output: Annotated[Path, options.output("FILE.mcap|DIR", "A new file; a new folder with --presses.")],
+    seconds: options.Seconds = None,
     frames: Annotated[int | None, Option(metavar="N", min=1, help="Number of frames.")] = None,
     taken: PressesTaken,
     calibration: Annotated[
-        Path | None,
-        Option(
-            "--calibration", "-c", metavar="CAL.npz", help="The calibration in use; its digest is recorded."
-        ),
+        Path | None, options.calibration("The calibration in use; its digest is recorded.")
     ] = None,
     set_: Annotated[
         list[str] | None,
@@ -174,7 +160,7 @@ def record(
             help="Camera setting: exposure, gain, white_balance, led_level, width, height, fps, fourcc.",
         ),
     ] = None,
-    bgr: Bgr = False,
+    bgr: options.Bgr = False,
     shown: ShownOption,
 ) -> None:
     """Record a camera's frames, or presses for a calibration.
@@ -192,23 +178,16 @@ def record(
       gelform record http://192.168.0.7:8080/stream -o session.mcap
       gelform record D20123 --presses -o presses --ball-diameter-mm 6.35 --sensor digit
     """
-    from gelform.calibration_file import load_calibration
-    from gelform.sensors.source import open_source
-
-    opened = partial(open_source, source, paced=True, settings=_settings(set_ or []) or None, bgr=bgr)
+    camera = _camera_settings(set_ or [])
+    opened = partial(gelform.open_source, source, paced=True, settings=camera or None, bgr=bgr)
     if taken.presses:
         _presses(opened, output, taken, shown)
         return
-    for given, option in (
-        (taken.ball_diameter_mm, "--ball-diameter-mm"),
-        (taken.sensor, "--sensor"),
-        (taken.mm_per_px, "--mm-per-px"),
-    ):
-        if given is not None:
-            raise BadParameter("is for --presses only.", param_hint=option)
-    wanted = {"seconds": seconds, "frames": frames}
-    digest = "" if calibration is None else load_calibration(calibration).digest
-    stats, grabbed = _recorded(opened, output, wanted, digest, shown)
+    for name in ("ball_diameter_mm", "sensor", "mm_per_px"):
+        if getattr(taken, name) is not None:
+            raise BadParameter("is for --presses only.", param_hint=f"--{name.replace('_', '-')}")
+    digest = "" if calibration is None else gelform.load_calibration(calibration).digest
+    stats, grabbed = _recorded(opened, output, seconds, frames, digest, shown)
     reopened = grabbed.reopened
     if stats.frames == 0:
         raise DataError(f"No frame arrived, so {output} holds none. Check the camera with gelform cameras.")
@@ -233,7 +212,7 @@ def why_missing(stats: RecordStats, grabbed: GrabberStats) -> str:
     }
     said = " and ".join(f"{count} {why}" for why, count in reasons.items() if count)
     share = stats.missing / all_of
-    level = "warning: " if share > MOST_MISSING else ""
+    level = "warning: " if share > 0.05 else ""
     return (
         f"{level}{stats.missing} of {all_of} frames ({100 * share:.2g} %) are missing: {said}. {rate_hz:.3g} frames a "
         "second were kept; a lower rate or a smaller picture loses fewer (USB cameras: --set fps=..., --set width=...)."
@@ -241,29 +220,28 @@ def why_missing(stats: RecordStats, grabbed: GrabberStats) -> str:
 
 
 def _recorded(
-    opened: Any, output: Path, wanted: dict[str, Any], digest: str, shown: ShownOption
+    opened: Any, output: Path, seconds: float | None, frames: int | None, digest: str, shown: ShownOption
 ) -> tuple[RecordStats, GrabberStats]:
     """The figures of a recording until its end or Ctrl-C, and those of the source."""
-    from gelform.sensors.grabber import Grabber
     from gelform.sensors.record import KEPT_FRAMES, RecordStats, new_recording, record_frames
 
     stats = RecordStats(0, 0, 0, 0.0)
-    with Grabber(opened, keep=KEPT_FRAMES) as grabber, shown.progress() as progress:
+    with gelform.Grabber(opened, keep=KEPT_FRAMES) as grabber, shown.progress() as progress:
         recording = new_recording(output, grabber, calibration_digest=digest)
-        end = "" if any(wanted.values()) else ", until Ctrl-C"
+        end = "" if seconds or frames else ", until Ctrl-C"
         shown.say(f"Recording {grabber.name} into {output}{end}.")
 
         def going_on(now: RecordStats) -> bool:
             nonlocal stats
             stats = now
-            done, total, unit = now.frames, wanted["frames"] or 0, "frames"
-            if wanted["seconds"] and not total:
-                done, total, unit = round(now.duration_s), round(wanted["seconds"]), "seconds"
+            done, total, unit = now.frames, frames or 0, "frames"
+            if seconds and not frames:
+                done, total, unit = round(now.duration_s), round(seconds), "seconds"
             progress(done, total, f"recording, {unit}" if grabber.state == "running" else grabber.state)
             return True
 
         try:
-            stats = record_frames(grabber, recording, **wanted, going_on=going_on)
+            stats = record_frames(grabber, recording, seconds=seconds, frames=frames, going_on=going_on)
         except KeyboardInterrupt:  # the usual end of a recording
             pass
         finally:
@@ -278,20 +256,26 @@ def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: ShownOption
             "needed with --presses: the diameter of the ball.", param_hint="--ball-diameter-mm"
         )
     from gelform.calibration.presses.taken import TakenPresses
-    from gelform.sensors.grabber import Grabber
 
-    with single_keys("record --presses") as key, Grabber(opened) as grabber:
+    with single_keys("record --presses") as key, gelform.Grabber(opened) as grabber:
         settings = _sensor_settings(grabber, wanted)
         taken = TakenPresses(output, settings, wanted.ball_diameter_mm)
         shown.say("Touch nothing and press the space bar to take the background image. q ends.")
-        while (pressed := key()) not in (" ", "q", ""):
-            pass
-        if pressed == " " and (rest := _at_rest(grabber, key, settings)):
+        if _space(key) and (rest := _at_rest(grabber, key, settings)):
             taken.take_background(rest)
             say(
                 "Press the ball, hold it still and press the space bar. Repeat elsewhere. u removes the last press, q ends."
             )
-            _take(taken, grabber, key, shown)
+            while (pressed := key()) not in ("q", ""):
+                if pressed == " ":
+                    try:
+                        name = taken.take_press(_fresh(grabber, 1)[0])
+                        shown.say(f"{taken.count}: {name}")
+                    except DataError as problem:
+                        shown.say(f"Not taken. {problem}")
+                elif pressed == "u":
+                    removed = taken.drop_last()
+                    shown.say(f"Removed {removed}." if removed else "There is no press to remove.")
     if taken.count == 0:
         raise DataError(
             f"No press was taken, so {output} is no press folder. Start again with another folder."
@@ -300,14 +284,21 @@ def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: ShownOption
     shown.json({"folder": output, "presses": taken.count, "ball_diameter_mm": wanted.ball_diameter_mm})
 
 
-def _at_rest(grabber: Grabber, key: Any, settings: Any) -> list[Any]:
+def _space(key: Callable[[], str]) -> bool:
+    """Wait for the space bar; False at q or the end of the input."""
+    while (pressed := key()) not in (" ", "q", ""):
+        pass
+    return pressed == " "
+
+
+def _at_rest(grabber: gelform.Grabber, key: Callable[[], str], settings: Any) -> list[Any]:
     """Frames of the gel at rest; if something seems to touch it, those of the next space bar, [] without one."""
     from gelform.calibration.starters import starter_for
-    from gelform.image.background import background_from_frames, surround_finding
-    from gelform.image.view import image_from_frame
+    from gelform.image.background import surround_finding
 
     images = _fresh(grabber, BACKGROUND_FRAMES)
-    image = image_from_frame(background_from_frames(images).background, settings.view)
+    rest = gelform.background_from_frames(images).background
+    image = gelform.image_from_frame(rest, settings.view)
     if found := surround_finding(image, "--crop {}", viewed=not settings.view.is_identity):
         say(f"note: {found.message}")
     starter = starter_for(settings.name, image.shape[:2])
@@ -316,27 +307,11 @@ def _at_rest(grabber: Grabber, key: Any, settings: Any) -> list[Any]:
             starter.check_untouched(image)
     except CalibrationError as touched:
         say(f"Not taken. {touched} Press the space bar again; it is taken then.")
-        while (pressed := key()) not in (" ", "q", ""):
-            pass
-        return _fresh(grabber, BACKGROUND_FRAMES) if pressed == " " else []
+        return _fresh(grabber, BACKGROUND_FRAMES) if _space(key) else []
     return images
 
 
-def _take(taken: Any, grabber: Grabber, key: Any, shown: ShownOption) -> None:
-    """Take a press at each space bar, until q or the end of the input."""
-    while (pressed := key()) not in ("q", ""):
-        if pressed == " ":
-            try:
-                name = taken.take_press(_fresh(grabber, 1)[0])
-                shown.say(f"{taken.count}: {name}")
-            except DataError as problem:
-                shown.say(f"Not taken. {problem}")
-        elif pressed == "u":
-            name = taken.drop_last()
-            shown.say(f"Removed {name}." if name else "There is no press to remove.")
-
-
-def _fresh(grabber: Grabber, count: int) -> list[Any]:
+def _fresh(grabber: gelform.Grabber, count: int) -> list[Any]:
     """Images of frames that arrive from now on."""
     images: list[Any] = []
     held = grabber.newest(-1, 0)
@@ -350,10 +325,9 @@ def _fresh(grabber: Grabber, count: int) -> list[Any]:
     return images
 
 
-def _sensor_settings(grabber: Grabber, wanted: PressesTaken) -> Any:
+def _sensor_settings(grabber: gelform.Grabber, wanted: PressesTaken) -> Any:
     """The content of sensor.toml: the known sensor's scale and view, the serial number, the camera's settings."""
     from gelform.calibration.presses.taken import settings_of
-    from gelform.sensors.profiles import check_gel_width
 
     sensor, mm_per_px = wanted.sensor, wanted.mm_per_px
     if sensor is None and mm_per_px is None:
@@ -371,7 +345,7 @@ def _sensor_settings(grabber: Grabber, wanted: PressesTaken) -> Any:
     return replace(settings, camera=grabber.settings)
 
 
-def _settings(pairs: list[str]) -> dict[str, float | str]:
+def _camera_settings(pairs: list[str]) -> dict[str, float | str]:
     """Parse exposure=50 ... into a table."""
     settings: dict[str, float | str] = {}
     for pair in pairs:
@@ -382,9 +356,85 @@ def _settings(pairs: list[str]) -> dict[str, float | str]:
             settings[name] = text if name == "fourcc" else float(text)
         except ValueError:
             raise BadParameter(f"expected a number in {pair!r}.", param_hint="--set") from None
-    if settings:
-        from gelform.sensors.cameras import check_settings
+    from gelform.sensors.cameras import check_settings
 
-        with usage_errors("--set"):
-            return check_settings(settings)
-    return settings
+    with usage_errors("--set"):
+        return check_settings(settings)
+
+
+def live(
+    sources: Annotated[
+        list[str] | None,
+        Argument(
+            metavar="[SOURCE]...",
+            help="Serial, name, device, URL, video, folder, or simulated[:SENSOR]. Default: simulated.",
+        ),
+    ] = None,
+    calibration: Annotated[
+        list[Path] | None,
+        options.calibration("Calibration of each sensor, in order. Default: the newest of its serial."),
+    ] = None,
+    sensor: options.StarterSensor = None,
+    bgr: options.Bgr = False,
+    folder: Annotated[
+        Path, Option(metavar="DIR", help="Folder of the offered calibrations and of new recordings.")
+    ] = Path("."),
+    host: Annotated[str, Option(help="Address to listen on; other machines need a token.")] = "127.0.0.1",
+    port: Annotated[
+        int | None, Option(min=1, max=65535, help="Port to listen on. Default: 8765, or the next free one.")
+    ] = None,
+    token: Annotated[
+        bool, Option("--token", help="Require a token on this machine too, if others use it.")
+    ] = False,
+    rate: Annotated[
+        float, Option(metavar="HZ", parser=options.positive, help="Frame rate of the simulated sensor.")
+    ] = 60.0,
+    sink: Annotated[
+        list[str] | None, Option(metavar="NAME", help="Results also in rerun or foxglove; may be repeated.")
+    ] = None,
+    browser: Annotated[bool, Option("--open", help="Open the page in the browser.")] = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Show depth in the browser, calibrate with a ball, record.
+
+    Without SOURCE, the page shows a simulated sensor. For a GelSight Mini or a DIGIT without a calibration, it uses the
+    starter of the make, once it has taken a background image. --sensor names the make of another camera.
+
+    \b
+    Examples:
+      gelform live
+      gelform live 2BKRXXXX -c mini.npz
+      gelform live left right -c left.npz -c right.npz --port 8080
+      gelform live http://robot:8080/stream --sensor digit
+      gelform live session.mp4 -c mini.npz
+      gelform live --sink rerun
+    """
+    if sensor is not None:
+        options.one_of(sensor, options.STARTERS, "--sensor")
+    from gelform.live.sinks import feed
+    from gelform.live.start import start
+    from gelform.live.web.server import listen
+
+    server = listen(host, port, token=token)
+    with mistakes_in("live"):
+        hub = start(sources or ["simulated"], calibration or [], folder, rate, sensor, bgr)
+    try:
+        with mistakes_in("--sink"):
+            feeders, said = feed(hub, sink or [])
+    except GelformError:
+        hub.close()
+        raise
+    for _, level, text in hub.notices:
+        say(f"warning: {text}" if level != "info" else text, quiet and level == "info")
+    show(server.url)
+    say("Open this address. Ctrl-C ends it.", quiet)
+    for one in said:
+        say(one, quiet)
+    if browser:
+        webbrowser.open(server.url)
+    try:
+        server.serve(hub)
+    finally:
+        for feeder in feeders:
+            feeder.close()
+        hub.close()
