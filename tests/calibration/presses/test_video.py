@@ -14,7 +14,6 @@ import gelform
 from gelform.calibration.circles.find import find_contact
 from gelform.calibration.presses.video import Thumbnails, distances, noise_of, stretches, thumbnail, untouched
 from gelform.image.background import ChangeSettings, color_change_from_image
-from gelform.image.frame import Frame
 from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.simulate import (
@@ -364,12 +363,9 @@ def test_frames_that_change_their_size_none_and_too_many(filmed, how, monkeypatc
 
 
 @pytest.mark.parametrize("time_s", [None, float("nan"), "0"])
-def test_frames_without_a_time_are_named(time_s, how):
-    images = [np.full((60, 80, 3), 90, np.uint8)] * 3
-    frames = [Frame(image, time_s if k == 1 else k / 25, 0, k) for k, image in enumerate(images)]
-    for given in (frames, iter(frames)):
-        with pytest.raises(TypeError, match="Expected time_s of frame 1 in seconds"):
-            gelform.presses_from_frames(given, **how)
+def test_frames_have_a_time(time_s):
+    with pytest.raises((TypeError, ValueError), match="time_s"):
+        gelform.Frame(np.full((60, 80, 3), 90, np.uint8), time_s, 0, 1)
 
 
 def test_light_that_drifts_is_noted(filmed, how):

@@ -281,11 +281,6 @@ class _Images:
             return
         for position, frame in enumerate(self._frames):
             check_is(frame, Frame, "each frame")
-            if not isinstance(frame.time_s, (int, float)) or not np.isfinite(frame.time_s):
-                raise TypeError(
-                    f"Expected time_s of frame {position} in seconds, got {frame.time_s!r}. Without a clock, divide the "
-                    "frame's number by the rate of the camera."
-                )
             if only is None or position in only:
                 yield replace(frame, index=position)
 
