@@ -4,6 +4,7 @@ Correlation lengths, gains and factors that are put into errors come out of them
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -281,6 +282,18 @@ def test_thinning_keeps_the_press_and_an_empty_picture_is_no_crash(calibration, 
     blank = replace(first[0], image=presses.background.astype(np.uint8))
     result = Reconstructor(calibration).from_image(blank.image)
     assert errors_of(0, blank, first[1], result, calibration.mm_per_px, 0.85)[2].ndim == 2
+
+
+def test_pixels_are_about_the_center_of_the_slopes_and_caps_about_that_of_the_depth(first):
+    """Where the two differ by 4 px, each agrees with its own ball."""
+    y, x = np.mgrid[:120, :160].astype(np.float32)
+    depth_mm = 0.1 * np.sqrt(np.maximum(40**2 - (x - 82) ** 2 - (y - 60) ** 2, 0))
+    gradients = ball_gradients(x, y, (78, 61), 40.0).astype(np.float32)
+    result = SimpleNamespace(depth_mm=depth_mm, gradients=gradients, shape=depth_mm.shape)
+    press = replace(first[0], ball_diameter_mm=8.0)
+    _, pixels, cap_um = errors_of(0, press, (80.0, 60.0, 22.0), result, 0.1, 0.8)
+    assert off_deg(pixels) < 0.05
+    assert np.nanmax(np.abs(cap_um)) < 1
 
 
 def test_errors_are_counted_inside_the_edge(calibration, first):

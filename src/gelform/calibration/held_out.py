@@ -192,9 +192,6 @@ def _lag_products(error: Numbers, step: int) -> Numbers:
     return products
 
 
-RINGS = 6  # of equal steps of slope in a contact: for each of their sizes an object of its own
-
-
 @dataclass(frozen=True)
 class Judged:
     """The errors of a fit on held-out presses."""
@@ -399,11 +396,13 @@ def common_error(pixels: Array, sigma: SlopeSigma) -> float:
 def _ring_squares(press: Array, sigma: SlopeSigma, single: float) -> Iterator[float]:
     """Square of each ring's mean error along the slope, less that of errors of variance `single`, over its slope's square.
 
-    In the innermost ring slopes are too gentle for a relative error.
+    Rings are equal steps of slope: for each of their sizes an object of its own. In the innermost one slopes are too gentle
+    for a relative error.
     """
+    count = 6
     slopes = np.linalg.norm(press["true"].astype(np.float64), axis=1)
-    rings = np.digitize(slopes, np.linspace(0, slopes.max(), RINGS + 1)[1:-1])
-    for ring in range(1, RINGS):
+    rings = np.digitize(slopes, np.linspace(0, slopes.max(), count + 1)[1:-1])
+    for ring in range(1, count):
         member = np.flatnonzero(rings == ring)
         if len(member) < 10:
             continue

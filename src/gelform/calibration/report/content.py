@@ -33,7 +33,7 @@ from gelform.sensors.profiles import scale_off_make
 from gelform.slopes.sigma import MIN_IN_BIN
 
 SLOPE_EDGES = tuple(round(0.1 * k, 1) for k in range(13))
-DRAWS = 1000  # bootstrap draws of presses, for intervals
+BOOTSTRAPS = 1000  # draws of presses, for intervals
 
 
 def _bins_of(slope: Array) -> Iterator[tuple[dict[str, float], Mask]]:
@@ -71,7 +71,7 @@ def gain_curve(pixels: Array, rng: np.random.Generator) -> list[dict[str, Any]]:
             sums[row, k] = np.histogram(bins, SLOPE_EDGES, weights=weights)[0]
     alike = np.full(len(presses), 1 / len(presses))
     # How often each press is drawn in each bootstrap, (draws, presses).
-    drawn = rng.multinomial(len(presses), alike, size=DRAWS).astype(np.float64)
+    drawn = rng.multinomial(len(presses), alike, size=BOOTSTRAPS).astype(np.float64)
     curve = []
     for b, (low, high) in enumerate(pairwise(SLOPE_EDGES)):
         projected, square, count = sums[:, :, b]
@@ -427,7 +427,7 @@ def _figures(rows: Sequence[PressReport], rng: np.random.Generator) -> dict[str,
 
 def interval_of(values: Numbers, middle: Callable[..., Numbers], rng: np.random.Generator) -> list[float]:
     """95 % bootstrap interval of a mean or median over presses."""
-    drawn = values[rng.integers(0, values.size, size=(DRAWS, values.size))]
+    drawn = values[rng.integers(0, values.size, size=(BOOTSTRAPS, values.size))]
     return [float(v) for v in np.percentile(middle(drawn, axis=1), (2.5, 97.5))]
 
 
