@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from os import PathLike
@@ -21,48 +21,57 @@ STALL_S = 0.5  # s without a frame until "reconnecting"; robots' recorders give 
 Value = TypeVar("Value")
 
 
-def rate_hz_of(times_s: Sequence[float]) -> float:
-    """How often something happened per second, from its last times, s; 0 before the second one."""
-    span_s = times_s[-1] - times_s[0] if len(times_s) > 1 else 0.0
-    return (len(times_s) - 1) / span_s if span_s > 0 else 0.0
-
-
 class Newest(Generic[Value]):
-    """Keeps the newest value for any number of readers; each reader remembers the last number that it read.
+    """Keeps the newest value and its figures for any number of readers; each remembers the last number that it read.
 
     Parameters
     ----------
     keep : number of values held, for readers of each one
     every : True: a value stays until someone has read it. For recordings, of which no frame may be lost
-
-    Attributes
-    ----------
-    number : of the newest value; -1 before the first
-    unseen : number of values that newer ones replaced before anyone asked for them
-    ended : whether no more values will come
-    error : the error that ended it, or None
+    rated : number of last values whose times give the rate
     """
 
-    def __init__(self, *, keep: int = 1, every: bool = False) -> None:
+    def __init__(self, *, keep: int = 1, every: bool = False, rated: int = 60) -> None:
         self.changed = threading.Condition()
-        self.number, self.unseen, self.ended = -1, 0, False
-        self.error: BaseException | None = None
+        self.number, self.first = -1, 0  # of the newest value, -1 before it, and of the first
+        self.count = self.unseen = (
+            0  # values, and those that newer ones replaced before anyone asked for them
+        )
+        self.ended = False  # whether no more values will come
+        self.error: BaseException | None = None  # that ended it
+        self.times_s: deque[float] = deque(maxlen=rated)  # of the last values
+        self._time_s: float | None = None  # of the newest one
         self._every = every
         self._held: deque[tuple[int, Value]] = deque(maxlen=keep)
         self._asked = self._expected = -1
+
+    @property
+    def rate_hz(self) -> float:
+        """Values per second, by their times; 0 before the second one."""
+        with self.changed:
+            span_s = self.times_s[-1] - self.times_s[0] if len(self.times_s) > 1 else 0.0
+            return (len(self.times_s) - 1) / span_s if span_s > 0 else 0.0
+
+    @property
+    def age_s(self) -> float | None:
+        """Seconds since the time of the newest value; None before the first."""
+        return None if self._time_s is None else time.monotonic() - self._time_s
 
     def expect(self, number: int) -> None:
         """Announce that the value of this number is being made: readers wait for it instead of taking an older one."""
         with self.changed:
             self._expected = number
 
-    def put(self, number: int, value: Value) -> None:
-        """Make this the newest value; numbers grow from 0."""
+    def put(self, number: int, value: Value, time_s: float | None = None) -> None:
+        """Make this the newest value; numbers grow from 0. Its time is of the monotonic clock, by default now."""
         with self.changed:
+            self._time_s = time.monotonic() if time_s is None else time_s
+            self.times_s.append(self._time_s)
             if self._every:
                 self.changed.wait_for(lambda: self._asked >= self.number or self.ended)
             self.unseen += self.number > self._asked and len(self._held) == self._held.maxlen
-            self.number = number
+            self.first = number if self.count == 0 else self.first
+            self.number, self.count = number, self.count + 1
             self._held.append((number, value))
             self.changed.notify_all()
 
@@ -110,24 +119,14 @@ class Newest(Generic[Value]):
 
 @dataclass(frozen=True)
 class GrabberStats:
-    """Figures of a grabber.
+    """Figures of a grabber."""
 
-    Attributes
-    ----------
-    frames : frames read so far
-    drops : frames lost on the way or torn, by gaps in the source's own count
-    unseen : frames that a newer one replaced before anyone asked for them
-    reopened : how often the source was lost and reopened
-    rate_hz : frames per second, over the last 60; 0 before the second frame
-    age_s : age of the newest frame, s; None before the first
-    """
-
-    frames: int = 0
-    drops: int = 0
-    unseen: int = 0
-    reopened: int = 0
-    rate_hz: float = 0.0
-    age_s: float | None = None
+    frames: int = 0  # read so far
+    drops: int = 0  # frames lost on the way or torn, by gaps in the source's own count
+    unseen: int = 0  # frames that a newer one replaced before anyone asked for them
+    reopened: int = 0  # how often the source was lost and reopened
+    rate_hz: float = 0.0  # frames per second, over the last 60; 0 before the second frame
+    age_s: float | None = None  # of the newest frame; None before the first
 
 
 class Grabber:
@@ -164,10 +163,7 @@ class Grabber:
         self._stall_s = stall_s
         self._frames: Newest[Frame] = Newest(keep=int(keep))
         self._changed = self._frames.changed
-        self._times_s: deque[float] = deque(maxlen=60)
-        self._state, self._reason = "starting", ""
-        self._stats = GrabberStats()
-        self._captured_s = 0.0  # of the newest frame
+        self._state, self._reason, self._reopened = "starting", "", 0
         self._heard_s = time.monotonic()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
@@ -202,24 +198,27 @@ class Grabber:
     @property
     def state(self) -> str:
         """One of "starting" (until the first frame), "running", "reconnecting", "ended"."""
-        with self._changed:
-            return "reconnecting" if self._state == "running" and self._stalled() else self._state
+        return self._state_and_reason()[0]
 
     @property
     def reason(self) -> str:
         """Why the source is reconnecting or has ended; empty while it runs."""
+        return self._state_and_reason()[1]
+
+    def _state_and_reason(self) -> tuple[str, str]:
         with self._changed:
-            if self._state == "running" and self._stalled():
-                return f"no frame for {time.monotonic() - self._heard_s:.1f} s"
-            return self._reason
+            silent_s = time.monotonic() - self._heard_s
+            if self._state == "running" and silent_s > self._stall_s:
+                return "reconnecting", f"no frame for {silent_s:.1f} s"
+            return self._state, self._reason
 
     @property
     def stats(self) -> GrabberStats:
         """Current figures."""
         with self._changed:
-            age_s = time.monotonic() - self._captured_s if self._stats.frames else None
-            rate_hz, unseen = rate_hz_of(self._times_s), self._frames.unseen
-            return replace(self._stats, unseen=unseen, rate_hz=rate_hz, age_s=age_s)
+            own = self._frames
+            drops = own.number + 1 - own.count
+            return GrabberStats(own.count, drops, own.unseen, self._reopened, own.rate_hz, own.age_s)
 
     def newest(self, after_index: int = -1, timeout_s: float | None = None) -> Frame | None:
         """The newest frame with a number above `after_index`.
@@ -237,9 +236,6 @@ class Grabber:
         """The oldest held frame with a number above `after_index`, for recorders; otherwise as `newest`."""
         found = self._frames.after(after_index, timeout_s, oldest=True)
         return None if found is None else found[1]
-
-    def _stalled(self) -> bool:
-        return time.monotonic() - self._heard_s > self._stall_s
 
     # -- the thread ---------------------------------------------------------------------------------------------
 
@@ -280,54 +276,38 @@ class Grabber:
             self._source.close()
 
     def _read(self, source: Source) -> None:
-        """Read frames until the source ends, is lost, or the grabber is closed."""
+        """Keep frames until the source ends, is lost, or the grabber is closed."""
         base, last = self._frames.number + 1, -1
         for frame in source:
             if self._stop.is_set():
                 return
             last = checked_frame(frame, last, source.name).index
-            self._keep(replace(frame, index=base + last))
-
-    def _keep(self, frame: Frame) -> None:
-        with self._changed:
-            drops = self._stats.drops + frame.index - self._frames.number - 1
-            self._stats = replace(self._stats, frames=self._stats.frames + 1, drops=drops)
-            self._times_s.append(frame.time_s)
-            self._captured_s, self._heard_s = frame.time_s, time.monotonic()
-            self._state, self._reason = "running", ""
-            self._frames.put(frame.index, frame)
+            with self._changed:
+                self._state, self._reason, self._heard_s = "running", "", time.monotonic()
+                self._frames.put(base + last, replace(frame, index=base + last), frame.time_s)
 
     def _reopen(self) -> None:
-        """Reopen the source as soon as it is available."""
+        """Reopen the source as soon as it is available: by its spec, else by its serial, because paths may change."""
         wait_s, lost = 0.02, self.source
-        while not self._stop.wait(wait_s):
-            wait_s = min(1.5 * wait_s, 0.12)
-            source = self._found_again(lost)
-            if source is None:
-                continue
-            self._source = source
-            with self._changed:
-                self._times_s.clear()
-                self._stats = replace(self._stats, reopened=self._stats.reopened + 1)
-            return
-
-    def _found_again(self, lost: Source) -> Source | None:
-        """The lost source if it is available again: by its spec, else by its serial, because paths may change."""
         attempts = [self._open_again]
         if self._finds_serials and lost.serial:
             attempts.append(partial(open_source, lost.serial))
-        for attempt in attempts:
-            try:
-                source = attempt()
-            except SensorError as problem:
-                self._set("reconnecting", str(problem))
-                continue
-            if source.serial == lost.serial:
-                return source
-            source.close()
-            said = f"expected the camera {lost.name} (serial {lost.serial}) back, found {source.name}"
-            self._set("reconnecting", said)
-        return None
+        while not self._stop.wait(wait_s):
+            wait_s = min(1.5 * wait_s, 0.12)
+            for attempt in attempts:
+                try:
+                    source = attempt()
+                except SensorError as problem:
+                    self._set("reconnecting", str(problem))
+                    continue
+                if source.serial == lost.serial:
+                    with self._changed:
+                        self._source, self._reopened = source, self._reopened + 1
+                        self._frames.times_s.clear()
+                    return
+                source.close()
+                said = f"expected the camera {lost.name} (serial {lost.serial}) back, found {source.name}"
+                self._set("reconnecting", said)
 
     def _set(self, state: str, reason: str) -> None:
         with self._changed:

@@ -30,7 +30,7 @@ from gelform.sensors.streams.memory import (
     result_from_image,
     zero_from_results,
 )
-from gelform.sensors.streams.pipeline import Meter, Pipeline, feed_from_source
+from gelform.sensors.streams.pipeline import Pipeline, feed_from_source
 from gelform.sensors.streams.stream import Stream
 from made.images import grid, image_of_dots
 from made.sources import ImageSource
@@ -238,29 +238,6 @@ def test_results_of_the_frame_itself_stay():
     assert without.depth_sigma_mm is None
 
 
-def test_results_drops_ages_and_the_median_of_each_stage_are_counted():
-    meter = Meter()
-    stats = meter.stats("starting", "")
-    assert (stats.results, stats.drops, stats.rate_hz, stats.stage_ms) == (0, 0, 0, {})
-    assert stats.age_s == math.inf
-    assert math.isnan(stats.latency_ms)
-    for index in (5, 6, 9, 10):  # what came before the first result is no drop of the stream's
-        meter.given(index, time.monotonic() - 3)
-    stats = meter.stats("running", "")
-    assert (stats.results, stats.drops) == (4, 2)
-    assert stats.rate_hz > 0
-    assert 3 <= stats.age_s < 60
-    assert 3000 <= stats.latency_ms < 60_000
-    meter = Meter()
-    for seconds in (0.001, 0.002, 0.5):
-        meter.add("view", seconds)
-    with meter.timed("reconstruct"):
-        pass
-    stage_ms = meter.stats("running", "all is well").stage_ms
-    assert stage_ms["view"] == pytest.approx(2)
-    assert 0 <= stage_ms["reconstruct"] < 60_000
-
-
 def started(act):
     """A thread that does it."""
     thread = Thread(target=act, daemon=True)
@@ -277,6 +254,26 @@ def running(feed, memory):
         yield pipeline
     finally:
         pipeline.close()
+
+
+def test_results_drops_ages_and_the_median_of_each_stage_are_counted(reconstruct, at_rest):
+    feed = Stepwise()
+    with running(feed, Memory(reconstruct)) as pipeline:
+        stats = pipeline.stats()
+        assert (stats.results, stats.drops, stats.rate_hz, stats.stage_ms) == (0, 0, 0, {})
+        assert stats.age_s == math.inf
+        assert math.isnan(stats.latency_ms)
+        for index in (5, 6, 9, 10):  # what came before the first result is no drop of the stream's
+            feed.frames.append(Frame(at_rest[0], time.monotonic() - 3, 0, index))
+            assert pipeline.results.newest(index - 1, timeout_s=60).index == index
+        for seconds in (0.001, 0.002, 0.5):
+            pipeline.took("mine", seconds)
+        stats = pipeline.stats()
+    assert (stats.results, stats.drops) == (4, 2)
+    assert stats.rate_hz > 0
+    assert 3 <= stats.age_s < 60
+    assert 3000 <= stats.latency_ms < 60_000
+    assert stats.stage_ms["mine"] == pytest.approx(2)
 
 
 def test_late_readers_get_the_newest_alone_and_do_not_take_from_each_other():

@@ -7,13 +7,14 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from math import inf, nan
 from os import PathLike
 from statistics import median
 from threading import Event, Lock, Thread
 from typing import Any, Generic, Protocol, TypeVar
 
 from gelform.image.frame import Frame
-from gelform.sensors.grabber import Grabber, Newest, rate_hz_of
+from gelform.sensors.grabber import Grabber, Newest
 from gelform.sensors.source import Source, checked_frame, open_source
 from gelform.sensors.streams.memory import Timed, Work
 
@@ -24,27 +25,22 @@ SourceLike = str | PathLike[str] | Source | Callable[[], Source] | Grabber
 
 
 class Feed(Protocol):
-    """Frames for one stream.
+    """Frames for one stream."""
 
-    Attributes
-    ----------
-    every : True if each frame is given, False if only the newest one
-    camera : has the serial number, and the settings as read back
-    state, reason : "starting", "running", "reconnecting" or "ended"; the reason as a sentence
-    skipped : number of frames that arrived, and that a newer one replaced before this feed was asked for them
-    """
-
-    every: bool
-    camera: Source | Grabber
+    every: bool  # whether each frame is given, or only the newest one
+    camera: Source | Grabber  # with the serial number, and the settings as read back
 
     @property
-    def skipped(self) -> int: ...
+    def skipped(self) -> int:
+        """Number of frames that arrived, and that a newer one replaced before this feed was asked for them."""
 
     @property
-    def state(self) -> str: ...
+    def state(self) -> str:
+        """One of "starting", "running", "reconnecting", "ended"."""
 
     @property
-    def reason(self) -> str: ...
+    def reason(self) -> str:
+        """The reason of the state, as a sentence."""
 
     def next(self, after_index: int) -> Frame | None:
         """A frame with a number above `after_index`; None if none arrived within a moment, or at the end."""
@@ -85,15 +81,11 @@ class NewestFrames:
             return None
         frame = self._grabber.newest(after_index, WAKE_S)
         if frame is not None:
-            self._count_skipped(frame.index - after_index - 1)
+            before, self._lost = self._lost, self._grabber.stats.drops
+            missing = frame.index - after_index - 1 - (self._lost - before)
+            self.skipped += 0 if self._waited else max(0, missing)
+            self._waited = False
         return frame
-
-    def _count_skipped(self, missing: int) -> None:
-        """Count the frames between two that were given, except those that were lost before, or not wanted."""
-        before, self._lost = self._lost, self._grabber.stats.drops
-        if not self._waited:
-            self.skipped += max(0, missing - (self._lost - before))
-        self._waited = False
 
     def close(self) -> None:
         if self._owned:
@@ -139,11 +131,9 @@ def feed_from_source(source: SourceLike) -> Feed:
         return NewestFrames(source, owned=False)
     if hasattr(source, "live"):
         opened: Any = source
-        return (
-            NewestFrames(Grabber(lambda: opened).__enter__(), owned=True)
-            if opened.live
-            else EveryFrame(opened)
-        )
+        if not opened.live:
+            return EveryFrame(opened)
+        return NewestFrames(Grabber(lambda: opened).__enter__(), owned=True)
     if not (callable(source) or isinstance(source, (str, PathLike))):
         raise TypeError(
             f"Expected a source: text, a path, a Source or a Grabber, got {type(source).__name__}."
@@ -164,84 +154,18 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class StreamStats:
-    """The current state of a stream.
+    """The current state of a stream."""
 
-    Attributes
-    ----------
-    state : "starting", "running", "reconnecting", "ended", "failed", "closed"
-    reason : the reason as a sentence, if there is one
-    results : number of reconstructed frames
-    drops : number of frames missing between the first and the last result, wherever they were lost
-    skipped : number of frames among them that arrived, and were wanted, and that a newer one replaced
-    rate_hz : results per second, over the last 120; 0 before the second one, or if a sensor's last one is a second old
-    age_s : time since the capture of the newest result's frame; infinite before the first one
-    latency_ms : from capture to result, the median of the last 120; NaN before the first one
-    stage_ms : name -> median time of a stage over its last 120 frames: `wait` (from capture to pick-up), `view`,
-        `reconstruct`, `remember`
-    """
-
-    state: str
-    reason: str
-    results: int
-    drops: int
-    skipped: int
-    rate_hz: float
-    age_s: float
-    latency_ms: float
+    state: str  # "starting", "running", "reconnecting", "ended", "failed", "closed"
+    reason: str  # as a sentence, if there is one
+    results: int  # number of reconstructed frames
+    drops: int  # number of frames missing between the first and the last result, wherever they were lost
+    skipped: int  # number of those that arrived, and were wanted, and that a newer one replaced
+    rate_hz: float  # results per second over the last 120; 0 before the second one, or if a sensor's last is a second old
+    age_s: float  # time since the capture of the newest result's frame; infinite before the first one
+    latency_ms: float  # from capture to result, the median of the last 120; NaN before the first one
+    # Median time of a stage over its last 120 frames: `wait` (from capture to pick-up), `view`, `reconstruct`, `remember`.
     stage_ms: dict[str, float]
-
-
-class Meter:
-    """Counts and times the stages of one stream; shared by its threads."""
-
-    def __init__(self) -> None:
-        self._lock = Lock()
-        self._stages: dict[str, deque[float]] = {}
-        self._given: deque[float] = deque(maxlen=RECENT)
-        self._latencies: deque[float] = deque(maxlen=RECENT)
-        self._results = self._drops = 0
-        self._last_index: int | None = None
-        self._last_captured: float | None = None
-
-    @contextmanager
-    def timed(self, stage: str) -> Iterator[None]:
-        """Time the block as a stage."""
-        start = time.monotonic()
-        yield
-        self.add(stage, time.monotonic() - start)
-
-    def add(self, stage: str, seconds: float) -> None:
-        """Add a time to a stage."""
-        with self._lock:
-            self._stages.setdefault(stage, deque(maxlen=RECENT)).append(seconds)
-
-    def given(self, index: int, captured_s: float) -> None:
-        """Count a result, by its frame number and capture time."""
-        now = time.monotonic()
-        with self._lock:
-            self._results += 1
-            if self._last_index is not None:
-                self._drops += max(0, index - self._last_index - 1)
-            self._last_index, self._last_captured = index, captured_s
-            self._given.append(now)
-            self._latencies.append(now - captured_s)
-
-    def stats(self, state: str, reason: str, skipped: int = 0, *, live: bool = False) -> StreamStats:
-        """The figures so far; `skipped` is the feed's, `live` says whether it is a sensor's."""
-        with self._lock:
-            stale = live and bool(self._given) and time.monotonic() - self._given[-1] > STALE_S
-            captured = self._last_captured
-            return StreamStats(
-                state=state,
-                reason=reason,
-                results=self._results,
-                drops=self._drops,
-                skipped=skipped,
-                rate_hz=0.0 if stale else rate_hz_of(self._given),
-                age_s=float("inf") if captured is None else time.monotonic() - captured,
-                latency_ms=1e3 * median(self._latencies) if self._latencies else float("nan"),
-                stage_ms={name: 1e3 * median(times) for name, times in self._stages.items()},
-            )
 
 
 class RunningSequence(Protocol[Value]):
@@ -274,13 +198,13 @@ class Pipeline(Generic[Value]):
     def __init__(self, feed: Feed, sequence: RunningSequence[Value], *, keep: int = 0) -> None:
         self.feed = feed
         self.sequence = sequence
-        self.meter = Meter()
-        self.results: Newest[Value] = Newest(every=feed.every)
+        self.results: Newest[Value] = Newest(every=feed.every, rated=RECENT)
         self.recent: deque[Value] = deque(maxlen=keep)
         self._to_learn: Newest[Value] = Newest()
         self._checks: Newest[Work] = Newest()
-        self._checks_asked = 0
-        self._stop = Event()
+        self._stop, self._lock = Event(), Lock()
+        self._times_s: dict[str, deque[float]] = {}  # of each stage, and from capture to result
+        self._captured_s = -inf  # of the newest result
         stages = {"reconstruct": self._reconstruct}
         if not feed.every:
             sequence.run_by(self._ask)
@@ -304,7 +228,34 @@ class Pipeline(Generic[Value]):
             state, reason = "failed", str(self.results.error)
         elif state == "ended" and not self.results.ended:
             state = "running"  # the last frames are still in work
-        return self.meter.stats(state, reason, self.feed.skipped, live=not self.feed.every)
+        results = self.results
+        with self._lock:
+            stage_ms = {name: 1e3 * median(times) for name, times in self._times_s.items()}
+        with results.changed:
+            stale = not self.feed.every and (results.age_s or 0.0) > STALE_S
+            return StreamStats(
+                state=state,
+                reason=reason,
+                results=results.count,
+                drops=results.number + 1 - results.first - results.count,
+                skipped=self.feed.skipped,
+                rate_hz=0.0 if stale else results.rate_hz,
+                age_s=time.monotonic() - self._captured_s,
+                latency_ms=stage_ms.pop("latency", nan),
+                stage_ms=stage_ms,
+            )
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Time the block as a stage."""
+        start_s = time.monotonic()
+        yield
+        self.took(stage, time.monotonic() - start_s)
+
+    def took(self, stage: str, seconds: float) -> None:
+        """Add a time to a stage."""
+        with self._lock:
+            self._times_s.setdefault(stage, deque(maxlen=RECENT)).append(seconds)
 
     def close(self) -> None:
         """Stop the threads and release the source; every wait has a limit."""
@@ -343,24 +294,24 @@ class Pipeline(Generic[Value]):
         """Make a frame's result and give it to the readers."""
         if not self.feed.every:
             self.results.expect(frame.index)
-            self.meter.add("wait", time.monotonic() - frame.time_s)
-        given = self.sequence.reconstructed(frame, self.meter.timed)
+            self.took("wait", time.monotonic() - frame.time_s)
+        given = self.sequence.reconstructed(frame, self.timed)
         if self.feed.every:
             self.sequence.learn_from(given)
         self.recent.append(given)
-        self.meter.given(frame.index, frame.time_s)
+        self._captured_s = frame.time_s
+        self.took("latency", time.monotonic() - frame.time_s)
         self.results.put(frame.index, given)
         self._to_learn.put(frame.index, given)
 
     def _learn(self) -> None:
         for given in self._to_learn:
-            with self.meter.timed("learn"):
+            with self.timed("learn"):
                 self.sequence.learn_from(given)
 
     def _ask(self, check: Work) -> None:
         """Have a thread make a check; only the newest one, if they come too fast."""
-        self._checks.put(self._checks_asked, check)
-        self._checks_asked += 1
+        self._checks.put(self._checks.number + 1, check)
 
     def _examine(self) -> None:
         for check in self._checks:
