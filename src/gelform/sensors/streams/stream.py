@@ -7,11 +7,11 @@ import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from os import PathLike
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gelform.arrays import Array, Map
 from gelform.calibration.library.library import NoCalibration, choose_calibration, unit_of
 from gelform.calibration.starters import Starter, load_starter, starter_names, starter_of_source
 from gelform.calibration_file import Calibration
@@ -31,31 +31,24 @@ STEADY_S = 1.0  # s without motion; a hand that presses cannot keep as still
 LEAST = 3  # frames of that second; fewer cannot agree
 # Limits of the frames, and of their bytes, that are read of a recording before the first one is given out.
 HELD, MAX_BYTES = 15, 192 * 2**20
+KEPT = 8  # results whose images stay available to `image_of`
 TOUCH_NOTHING = "Touch nothing: the starter's calibration needs the gel at rest."
 
 
 class UntouchedImage:
-    """The mean of frames without motion.
-
-    Attributes
-    ----------
-    view : of the frames
-    reason : why there is no mean yet, as a sentence
-    """
+    """The mean of frames without motion, at the starter's size."""
 
     def __init__(self, starter: Starter) -> None:
-        self.view, self.reason = View(), TOUCH_NOTHING
+        self.view = View()  # of the frames
+        self.reason = TOUCH_NOTHING  # why there is no mean yet, as a sentence
         self._starter = starter
         self._shape: tuple[int, ...] = ()
-        self._images: deque[tuple[float, NDArray[Any]]] = deque()
+        self._images: deque[tuple[float, Array]] = deque()
 
     def keep(self, frame: Frame) -> bool:
         """Add a frame; True once a whole second of them is there.
 
-        Raises
-        ------
-        SensorError
-            The frame has another aspect ratio than those of the make.
+        SensorError: the frame has another aspect ratio than those of the make.
         """
         height, width = frame.image.shape[:2]
         if (height, width) != self._shape:  # the camera's mode has changed: earlier frames have another view
@@ -64,7 +57,7 @@ class UntouchedImage:
         self._images.append((frame.time_s, image_from_frame(frame.image, self.view)))
         return len(self._images) >= LEAST and frame.time_s - self._images[0][0] >= STEADY_S
 
-    def mean(self) -> NDArray[np.float32] | None:
+    def mean(self) -> Map | None:
         """The mean (H, W, 3) of the frames; None if they disagree, and then the first half is dropped."""
         stride = max(1, len(self._images) // USUAL_FRAMES)
         chosen = [image for _, image in list(self._images)[::-stride]]
@@ -87,57 +80,46 @@ def calibration_at_rest(
 ) -> Calibration:
     """The calibration of a unit from frames of its gel at rest.
 
-    Parameters
-    ----------
-    sensor : the starter's name
-    before : the calibration in use; a scale that the user gave to a starter's calibration is kept
+    `sensor` is the starter's name. The scale of `before`, the calibration in use, is kept if the user gave it to a
+    calibration of the same starter.
 
-    Raises
-    ------
-    GelformError
-        Something moved, or the gel's light is not that of the make.
+    GelformError: something moved, or the gel's light is not that of the make.
     """
     starter = load_starter(sensor)
     untouched = UntouchedImage(starter)
     for frame in frames:
         untouched.keep(frame)
-    image = untouched.mean()
+    image, pitch = untouched.mean(), None
     if image is None:
         raise GelformError(untouched.reason)
+    if before is not None and (before.settings.starter or {}).get("sensor") == starter.sensor:
+        pitch = None if before.mm_per_px == starter.calibration.mm_per_px else before.mm_per_px
     # Whole gray levels, so that the background in a recording is exactly the image in use.
-    pitch = _own_pitch(starter, before)
     return starter.for_unit(np.rint(image), view=untouched.view, mm_per_px=pitch, serial=serial)
 
 
-def _own_pitch(starter: Starter, before: Calibration | None) -> float | None:
-    """The scale of a starter's calibration of the same make, if it differs from the make's."""
-    record = None if before is None else before.settings.starter
-    if before is None or record is None or record["sensor"] != starter.sensor:
-        return None
-    return None if before.mm_per_px == starter.calibration.mm_per_px else before.mm_per_px
-
-
 class UntouchedFirst:
-    """A feed that starts once the gel was at rest; of a recording every frame is then given.
+    """Feed and sequence of a stream that starts once the gel was at rest; of a recording every frame is then given.
 
     Parameters
     ----------
     feed : of the sensor
     starter : of its make
-    begin : called with the calibration, before the first frame is given
+    memory_of : makes the memory of the sequence from a Reconstructor, before the first frame is given
     """
 
-    def __init__(self, feed: Feed, starter: Starter, begin: Callable[[Calibration], None]) -> None:
-        self.every = feed.every
-        self.camera: Source | Grabber = feed.camera
-        self._feed, self._starter, self._begin = feed, starter, begin
+    def __init__(self, feed: Feed, starter: Starter, memory_of: Callable[[Reconstructor], Memory]) -> None:
+        self.every, self.camera = feed.every, feed.camera
+        self._feed, self._starter, self._memory_of = feed, starter, memory_of
         self._untouched = UntouchedImage(starter)
         self._held: deque[Frame] = deque()
-        self._after, self._begun = -1, False
+        self._after = -1
+        self._memory: Memory | None = None
+        self._examine: Callable[[Work], None] | None = None
 
     @property
     def state(self) -> str:
-        return "starting" if not self._begun and self._feed.state == "running" else self._feed.state
+        return "starting" if self._memory is None and self._feed.state == "running" else self._feed.state
 
     @property
     def reason(self) -> str:
@@ -150,14 +132,11 @@ class UntouchedFirst:
     def next(self, after_index: int) -> Frame | None:
         """As the feed's; None while it waits for the gel at rest.
 
-        Raises
-        ------
-        CalibrationError
-            The background image is of another make, or a recording does not begin with the gel at rest.
+        CalibrationError: the background image is of another make, or a recording does not begin with the gel at rest.
         """
-        if not self._begun:
+        if self._memory is None:
             self._look()
-        if not self._begun:
+        if self._memory is None:
             return None
         return self._held.popleft() if self._held else self._feed.next(after_index)
 
@@ -166,95 +145,54 @@ class UntouchedFirst:
 
     def _look(self) -> None:
         """Look at one frame of a sensor, or at the first ones of a recording."""
-        ready = self._hold() if self.every else self._see_next()
+        ready = False
+        if self.every:
+            while len(self._held) < HELD and sum(one.image.nbytes for one in self._held) < MAX_BYTES:
+                frame = self._feed.next(-1)
+                if frame is None:
+                    break
+                self._held.append(frame)
+                self._untouched.keep(frame)
+            ready = bool(self._held)
+        elif (frame := self._feed.next(self._after)) is not None:
+            self._after, ready = frame.index, self._untouched.keep(frame)
         image = self._untouched.mean() if ready else None
         if image is not None:
             made = self._starter.for_unit(image, view=self._untouched.view, serial=self.camera.serial)
-            self._begin(made)
-            self._begun = True
+            memory = self._memory_of(Reconstructor(made))
+            if self._examine is not None:
+                memory.run_by(self._examine)
+            self._memory = memory
         elif self.every or self._feed.state == "ended":
             raise CalibrationError(
                 f"Expected the gel at rest in the first frames, to make a calibration of the {self._starter.make} from it. "
                 f"{self._untouched.reason} Or give a background image with background= (--background)."
             )
 
-    def _see_next(self) -> bool:
-        frame = self._feed.next(self._after)
-        if frame is None:
-            return False
-        self._after = frame.index
-        return self._untouched.keep(frame)
-
-    def _hold(self) -> bool:
-        while len(self._held) < HELD and sum(one.image.nbytes for one in self._held) < MAX_BYTES:
-            frame = self._feed.next(-1)
-            if frame is None:
-                break
-            self._held.append(frame)
-            self._untouched.keep(frame)
-        return bool(self._held)
-
-
-class LaterMemory:
-    """The memory of a sequence whose first frames make its calibration, as a `Pipeline` runs it.
-
-    Parameters
-    ----------
-    made : makes the `Memory` from a Reconstructor
-    """
-
-    def __init__(self, made: Callable[[Reconstructor], Memory]) -> None:
-        self._made = made
-        self._memory: Memory | None = None
-        self._examine: Callable[[Work], None] | None = None
-
-    def begin(self, calibration: Calibration) -> None:
-        """Reconstruct the sequence with this calibration from now on."""
-        memory = self._made(Reconstructor(calibration))
-        if self._examine is not None:
-            memory.run_by(self._examine)
-        self._memory = memory
-
     @property
     def memory(self) -> Memory:
-        """The memory of the sequence.
-
-        Raises
-        ------
-        StaleError
-            The gel was not at rest yet.
-        """
+        """The memory of the sequence; StaleError if the gel was not at rest yet."""
         if self._memory is None:
             raise StaleError(f"The stream is starting. {TOUCH_NOTHING}")
         return self._memory
 
     @property
     def reconstruct(self) -> Reconstructor:
-        """The memory's Reconstructor."""
         return self.memory.reconstruct
 
     def run_by(self, examine: Callable[[Work], None]) -> None:
-        """As `Memory.run_by`."""
         self._examine = examine
 
     def reconstructed(self, frame: Frame, timed: Timed) -> StreamFrame:
-        """As `Memory.reconstructed`."""
         return self.memory.reconstructed(frame, timed)
 
     def learn_from(self, given: StreamFrame) -> None:
-        """As `Memory.learn_from`."""
         self.memory.learn_from(given)
 
     def take_background(self) -> None:
-        """As `Memory.take_background`.
-
-        Does nothing before there is a calibration, because the gel at rest is awaited anyway.
-        """
+        """As `Memory.take_background`; does nothing before there is a calibration, which awaits the gel at rest anyway."""
         if self._memory is not None:
             self._memory.take_background()
-
-
-KEPT = 8  # results whose images stay available to `image_of`
 
 
 def stream(
@@ -284,6 +222,7 @@ def stream(
         the calibration's own
     smoothing : temporal smoothing, s; None: none. Noise is averaged over this time. A change of depth above the noise is
         followed at once, a smaller one is delayed by at most this time
+
     Returns
     -------
     Stream
@@ -321,8 +260,8 @@ def stream(
         if reconstruct is None:
             starter = named or _starter_of(feed.camera, missing)
             if background is None:
-                later = LaterMemory(memory_of)
-                return Stream(Pipeline(UntouchedFirst(feed, starter, later.begin), later, keep=KEPT), later)
+                first = UntouchedFirst(feed, starter, memory_of)
+                return Stream(Pipeline(first, first, keep=KEPT), first)
             reconstruct = Reconstructor(starter.for_frame(background, serial=feed.camera.serial))
         memory = memory_of(reconstruct)
         return Stream(Pipeline(feed, memory, keep=KEPT), memory)
@@ -353,7 +292,7 @@ class Stream:
     memory : of its sequence
     """
 
-    def __init__(self, pipeline: Pipeline[StreamFrame], memory: Memory | LaterMemory) -> None:
+    def __init__(self, pipeline: Pipeline[StreamFrame], memory: Memory | UntouchedFirst) -> None:
         self._pipeline, self._memory = pipeline, memory
         self._entered = False
         self._finalizer = weakref.finalize(self, pipeline.close)
@@ -439,7 +378,7 @@ class Stream:
             f"The stream is {stats.state}{why}"
         )
 
-    def image_of(self, result: Reconstruction) -> NDArray[Any]:
+    def image_of(self, result: Reconstruction) -> Array:
         """The image (H, W, 3), RGB, after the view, of one of the last results.
 
         Raises
