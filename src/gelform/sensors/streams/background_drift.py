@@ -14,12 +14,12 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.arrays import Array, Map, Mask, Numbers
 from gelform.errors import CalibrationError
 from gelform.foundations.filters import robust_sigma
 from gelform.foundations.findings import Finding
@@ -47,24 +47,14 @@ MARGIN = 0.1  # fraction of the image's shorter side: around a contact the gel s
 
 @dataclass(frozen=True, eq=False)
 class DriftEvidence:
-    """The mean of the frames of about ten seconds.
+    """The mean of the frames of about ten seconds."""
 
-    Attributes
-    ----------
-    image : (H, W, 3) float32, mean of the frames, 0-255
-    start : (H, W, 3) float32, the background at the start of the sequence
-    lit : (H, W, 3) float32, the background at the start in the light of now
-    touched : (H, W) bool, True where something may have touched meanwhile, with a margin
-    contact : (H, W) bool, True where a frame showed contact
-    different : float, 0-1, fraction of the frames that differ from the background nearly everywhere
-    """
-
-    image: NDArray[np.float32]
-    start: NDArray[np.float32]
-    lit: NDArray[np.float32]
-    touched: NDArray[np.bool_]
-    contact: NDArray[np.bool_]
-    different: float = 0.0
+    image: Map  # (H, W, 3), mean of the frames, 0-255
+    start: Map  # (H, W, 3), the background at the start of the sequence
+    lit: Map  # (H, W, 3), that background in the light of now
+    touched: Mask  # (H, W), where something may have touched meanwhile, with a margin
+    contact: Mask  # (H, W), where a frame showed contact
+    different: float = 0.0  # fraction of the frames that differ from the background nearly everywhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,37 +73,29 @@ class BackgroundDrift:
     ----------
     background : (H, W, 3) float32, 0-255, the background at the start of the sequence
     calibrated : that of the calibration, with which one that is taken is compared; by default the same
-
-    Attributes
-    ----------
-    light : (3, 4), the followed light relative to the start, as in `lit`
-    usual : light of the last second relative to the current background, which can follow it only where nothing touches
-    refused : a finding if the background that was asked for last was not taken, because something touches the gel
-    evidence : mean of the last complete ten seconds, or None
     """
 
-    def __init__(
-        self, background: NDArray[np.float32], calibrated: NDArray[np.float32] | None = None
-    ) -> None:
+    def __init__(self, background: Map, calibrated: Map | None = None) -> None:
         self.start = background
         self._calibrated = background if calibrated is None else calibrated
+        # Whether the background that was asked for last was not taken, because something touches the gel.
         self.refused: tuple[Finding, ...] = ()
         self._local = background.astype(np.float32)
         self._local_blocks = block_means(self._local)
-        shape = self._local_blocks.shape[:2]
-        self.light = np.zeros((3, 4))
+        self.light = np.zeros((3, 4))  # the followed light relative to the start, as in `lit`
+        # Light of the last second relative to the current background, which can follow it only where nothing touches.
         self.usual: FrameLight | None = None
-        self.touched = Touched((shape[0], shape[1]))
-        self._mean: NDArray[np.float32] | None = None
+        self.touched = Touched(self._local_blocks.shape[:2])
+        self._mean: Map | None = None
         self._waiting: deque[MeanImage] = deque()
         self._last_s: float | None = None
         self._asked = self._taking = False
         self._contact_long = np.zeros(background.shape[:2], dtype=bool)
-        self.evidence: DriftEvidence | None = None
+        self.evidence: DriftEvidence | None = None  # of the last complete ten seconds
         self._start_anew(0.0)
 
     @property
-    def gains(self) -> NDArray[np.float64]:
+    def gains(self) -> Numbers:
         """The mean light of each channel (3,) relative to the start."""
         rest = self._local_blocks
         return np.asarray(lit(rest, self.light).mean(axis=(0, 1)) / rest.mean(axis=(0, 1)), dtype=np.float64)
@@ -122,11 +104,12 @@ class BackgroundDrift:
         """Take the mean of the next second as background, because nothing touches now. May be called from any thread."""
         self._asked = True
 
-    def __call__(self, image: NDArray[Any], result: Reconstruction) -> NDArray[np.float32] | None:
+    def __call__(self, image: Array, result: Reconstruction) -> Map | None:
         """Learn from a frame; the background (H, W, 3) if it has changed, else None."""
         time_s = result.time_s or 0.0
-        if self._last_s is None or not 0 <= time_s - self._last_s <= LONGEST_GAP_S:
-            self._lose_track(time_s)
+        if self._last_s is None or not 0 <= time_s - self._last_s <= LONGEST_GAP_S:  # the past is unknown
+            self.touched.everywhere(time_s)
+            self._forget(time_s)
         self._last_s = time_s
         if self._asked:
             self._asked, self._taking, self.refused = False, True, ()
@@ -135,7 +118,12 @@ class BackgroundDrift:
         if names & NO_MEASURE:
             self._contact |= True
             return None
-        self._add(image, result.contact)
+        self._blocks += block_means(image)
+        self._count += 1
+        cv2.accumulate(image, self._sum)
+        self._sum_count += 1
+        self._contact |= result.contact
+        self._contact_long |= result.contact
         if names & DIFFERENT:
             self._contact |= True
             self._different += 1
@@ -143,7 +131,7 @@ class BackgroundDrift:
             return None
         return self._taken(time_s) if self._taking else self._step(time_s)
 
-    def _taken(self, time_s: float) -> NDArray[np.float32] | None:
+    def _taken(self, time_s: float) -> Map | None:
         """Start again from the mean of the frames since the request; None if something touches the gel in it."""
         self._taking = False
         mean = self._sum / np.float32(self._sum_count)
@@ -157,14 +145,12 @@ class BackgroundDrift:
         self.start = self._local = mean
         self._local_blocks = block_means(self._local)
         self.light, self.usual = np.zeros((3, 4)), None
-        self.touched.nowhere()
-        self._waiting.clear()
-        self._mean = None
-        self._start_anew(time_s)
+        self.touched.everywhere(-np.inf)
+        self._forget(time_s)
         return self._local.copy()
 
-    def _lose_track(self, time_s: float) -> None:
-        self.touched.everywhere(time_s)
+    def _forget(self, time_s: float) -> None:
+        """Start anew, without what was averaged or waits."""
         self._waiting.clear()
         self._mean = None
         self._start_anew(time_s)
@@ -177,20 +163,17 @@ class BackgroundDrift:
         self._sum = np.zeros_like(self._local)
         self._count = self._sum_count = self._different = 0
 
-    def _add(self, image: NDArray[Any], contact: NDArray[np.bool_]) -> None:
-        self._blocks += block_means(image)
-        self._count += 1
-        cv2.accumulate(image, self._sum)
-        self._sum_count += 1
-        self._contact |= contact
-        self._contact_long |= contact
-
-    def _step(self, time_s: float) -> NDArray[np.float32] | None:
+    def _step(self, time_s: float) -> Map | None:
         """Fit the light, mark touched blocks, and add the mean images that have waited long enough."""
         step_s, blocks = time_s - self._step_s, self._blocks * np.float32(1 / self._count)
-        contact = self._contact_blocks()
+        size = blocks.shape[1::-1]
+        contact = cv2.resize(self._contact.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0
         free = self.touched.not_since(time_s - MEAN_S) & ~contact
-        self._follow(np.where(free[..., None], self._averaged(blocks, step_s), np.float32(0)), free.mean())
+        if self._mean is None:
+            self._mean = blocks
+        else:
+            self._mean += np.float32(-np.expm1(-step_s / MEAN_S)) * (blocks - self._mean)
+        self._follow(np.where(free[..., None], self._mean, np.float32(0)), free.mean())
         now = lit(self._local_blocks, self._now)
         self.touched.mark(time_s, step_s, contact, blocks / now - 1, now)
         if time_s - self._mean_image_s >= MEAN_IMAGE_S:
@@ -201,7 +184,7 @@ class BackgroundDrift:
         self._contact[:] = False
         return np.asarray(np.clip(lit(self._local, self.light), 0, WHITE), dtype=np.float32)
 
-    def _follow(self, blocks: NDArray[np.float32], free: float) -> None:
+    def _follow(self, blocks: Map, free: float) -> None:
         """Follow the light of blocks (h, w, 3), of which this part is free of contact and the others are 0."""
         untouched = self._local_blocks
         usual = light_from_blocks(blocks, lit(untouched, self.light), self.usual)
@@ -210,41 +193,28 @@ class BackgroundDrift:
             self.light, self.usual = light_at_rest(blocks, untouched, self._now), None
 
     @property
-    def _now(self) -> NDArray[np.float64]:
+    def _now(self) -> Numbers:
         """The light relative to the start, in parts followed, in parts only known."""
         return self.light if self.usual is None else self.light + self.usual.values
 
-    def _averaged(self, blocks: NDArray[np.float32], step_s: float) -> NDArray[np.float32]:
-        if self._mean is None:
-            self._mean = blocks
-        else:
-            self._mean += np.float32(-np.expm1(-step_s / MEAN_S)) * (blocks - self._mean)
-        return self._mean
-
-    def _contact_blocks(self) -> NDArray[np.bool_]:
-        size, contact = self._local_blocks.shape[1::-1], self._contact.astype(np.float32)
-        return np.asarray(cv2.resize(contact, size, interpolation=cv2.INTER_AREA) > 0)
-
     def _keep_mean_image(self, time_s: float) -> None:
         mean = self._sum * np.float32(1 / self._sum_count)
-        self.evidence = self._evidence(mean)
+        touched = (~self.touched.not_since(self._mean_image_s)).astype(np.uint8)
+        shape = self._local.shape[1::-1]
+        self.evidence = DriftEvidence(
+            image=mean,
+            start=self.start,
+            lit=lit(self.start, self._now),
+            touched=cv2.resize(touched, shape, interpolation=cv2.INTER_NEAREST).astype(bool),
+            contact=self._contact_long.copy(),
+            different=self._different / self._sum_count,
+        )
         image = without_light(mean, self.light) * np.float32(PER_GRAY_LEVEL)
         levels = np.clip(np.rint(image), 0, 255 * PER_GRAY_LEVEL).astype(np.uint16)
         self._waiting.append(MeanImage(self._mean_image_s, time_s, levels))
         self._mean_image_s = time_s
         self._sum[:], self._sum_count, self._different = 0, 0, 0
         self._contact_long[:] = False
-
-    def _evidence(self, mean: NDArray[np.float32]) -> DriftEvidence:
-        touched = ~self.touched.not_since(self._mean_image_s)
-        return DriftEvidence(
-            image=mean,
-            start=self.start,
-            lit=lit(self.start, self._now),
-            touched=_as_pixels(touched, self._local.shape[:2]),
-            contact=self._contact_long.copy(),
-            different=self._different / self._sum_count,
-        )
 
     def _take_in(self, time_s: float) -> None:
         """Add mean images that have waited to the background, where nothing touched around their time."""
@@ -259,33 +229,16 @@ class BackgroundDrift:
             self._local_blocks = block_means(self._local)
 
 
-def _as_pixels(blocks: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
-    pixels = cv2.resize(blocks.astype(np.uint8), shape[::-1], interpolation=cv2.INTER_NEAREST)
-    return np.asarray(pixels, dtype=bool)
-
-
 class Touched:
-    """The time of the last touch, or possible touch, of each block.
+    """The time of the last touch, or possible touch, of each block of a grid (h, w)."""
 
-    Parameters
-    ----------
-    blocks : (h, w), number of blocks
-    """
-
-    def __init__(self, blocks: tuple[int, int]) -> None:
+    def __init__(self, blocks: tuple[int, ...]) -> None:
         self._last_s = np.full(blocks, -np.inf)
         self._long = np.zeros((*blocks, 3), dtype=np.float32)
         reach = max(1, round(MARGIN * min(blocks)))
         self._kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
 
-    def mark(
-        self,
-        time_s: float,
-        step_s: float,
-        contact: NDArray[np.bool_],
-        change: NDArray[np.float32],
-        untouched: NDArray[np.float32],
-    ) -> NDArray[np.bool_]:
+    def mark(self, time_s: float, step_s: float, contact: Mask, change: Map, untouched: Map) -> None:
         """Find and remember the blocks (h, w) that may be touched at this time, including the margin.
 
         A block may be touched if a frame shows contact there. It also may be if its brightness stands out from all
@@ -301,24 +254,18 @@ class Touched:
         slight = np.clip(change, -MOST_CHANGE, MOST_CHANGE)
         self._long += np.float32(-np.expm1(-step_s / LONG_S)) * (slight - self._long)
         touched = contact | _stands_out(change, untouched) | _stands_out(self._long, untouched)
-        near: NDArray[np.bool_] = cv2.dilate(touched.astype(np.uint8), self._kernel).view(np.bool_)
-        self._last_s[near] = time_s
-        return near
+        self._last_s[cv2.dilate(touched.astype(np.uint8), self._kernel) > 0] = time_s
 
     def everywhere(self, time_s: float) -> None:
-        """Mark every block as touched, because no frame was available."""
+        """Mark every block as touched at that time, because no frame was available; -inf: forget all touches."""
         self._last_s[:] = time_s
 
-    def nowhere(self) -> None:
-        """Forget all touches."""
-        self._last_s[:] = -np.inf
-
-    def not_since(self, time_s: float) -> NDArray[np.bool_]:
+    def not_since(self, time_s: float) -> Mask:
         """The blocks (h, w) without a touch since that time."""
         return self._last_s < time_s
 
 
-def _stands_out(change: NDArray[np.float32], untouched: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _stands_out(change: Map, untouched: Map) -> Mask:
     """The blocks (h, w) that changed by more than drift and noise; noise is equal in gray levels."""
     size = np.abs(change)
     levels = size * untouched

@@ -11,8 +11,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Array, Map, Mask
 from gelform.depth.contact import contact_from_depth
 from gelform.errors import CalibrationError
 from gelform.foundations.checks import check_within
@@ -29,26 +29,18 @@ from gelform.sensors.streams.background_drift import BackgroundDrift, DriftEvide
 from gelform.sensors.streams.sensor_health import FROZEN, Examination, Frozen, light_findings
 from gelform.slopes.gradients import STEEPEST_GEL, slopes_of_solution
 
-LONGEST_S = 60.0  # s, largest time constant
 STILL, MOVING = 2.0, 4.0  # standard deviations of noise: a change is averaged below, followed above
-NEARBY_PX = 5  # px, width of the squares in which a change is searched: noise is correlated over some pixels
-NOISE_FRACTION = 0.1  # weight of each frame in the running mean of the noise
-NOISE_SAMPLE_PX = 4  # px: every fourth row and column measures the noise
 
 
 class Smoothing:
     """A running mean of depth per pixel, with exponentially falling weights.
 
-    The delay of the mean is the time constant. If the change within a square of 5 px exceeds 4 times the noise of two
+    The delay of the mean is the time constant, s. If the change within a square of 5 px exceeds 4 times the noise of two
     frames, the mean of that pixel starts again without delay. Between 2 and 4 times it restarts in part.
-
-    Parameters
-    ----------
-    time_s : time constant, s
     """
 
     def __init__(self, time_s: float) -> None:
-        self.time_s = check_within(time_s, "smoothing", 0, LONGEST_S)
+        self.time_s = check_within(time_s, "smoothing", 0, 60)
         self._mean = self._last = np.empty((0, 0), np.float32)
         self._left = np.empty((0, 0), np.float32)  # fraction of a frame's variance left in the mean
         self._last_s = -math.inf
@@ -66,13 +58,19 @@ class Smoothing:
         else:
             self._update(depth, time_s - self._last_s)
         self._last, self._last_s = depth, time_s
-        return self._smoothed(result)
+        mean, solved = self._mean.copy(), self._mean.copy()  # the caller may write to the result's
+        pitch = result.mm_per_px or 1.0
+        pitches = (pitch, pitch) if isinstance(pitch, float) else pitch
+        sigma = Later(partial(_less_noise, result, self._left, self._noise))
+        slopes = Later(partial(slopes_of_solution, solved, pitches))
+        return result.changed(depth=mean, depth_sigma_mm=sigma, gradients=slopes)
 
-    def _update(self, depth: NDArray[np.float32], step_s: float) -> None:
-        self._measure_noise(depth - self._last)
+    def _update(self, depth: Map, step_s: float) -> None:
+        sample = (depth - self._last)[::4, ::4]  # is enough to measure the noise
+        noise = float(robust_sigma(sample)) / math.sqrt(2)
+        self._noise = noise if self._noise == 0 else self._noise + 0.1 * (noise - self._noise)
         change = depth - self._mean
-        nearby = cv2.blur(change, (NEARBY_PX, NEARBY_PX))
-        moves = np.abs(nearby)
+        moves = np.abs(cv2.blur(change, (5, 5)))  # noise is correlated over some pixels
         moves *= np.float32(1 / max(math.sqrt(2) * self._noise, 1e-9))
         moves -= np.float32(STILL)
         moves *= np.float32(1 / (MOVING - STILL))
@@ -82,24 +80,8 @@ class Smoothing:
         self._mean += weight * change
         self._left = np.square(1 - weight) * self._left + np.square(weight)
 
-    def _measure_noise(self, difference: NDArray[np.float32]) -> None:
-        sample = difference[::NOISE_SAMPLE_PX, ::NOISE_SAMPLE_PX]
-        noise = float(robust_sigma(sample)) / math.sqrt(2)
-        self._noise = noise if self._noise == 0 else self._noise + NOISE_FRACTION * (noise - self._noise)
 
-    def _smoothed(self, result: Reconstruction) -> Reconstruction:
-        depth = self._mean.copy()
-        pitch = result.mm_per_px or 1.0
-        pitches = (pitch, pitch) if isinstance(pitch, float) else pitch
-        solved = depth.copy()  # the caller may write to the result's
-        sigma = Later(partial(_less_noise, result, self._left, self._noise))
-        slopes = Later(partial(slopes_of_solution, solved, pitches))
-        return result.changed(depth=depth, depth_sigma_mm=sigma, gradients=slopes)
-
-
-def _less_noise(
-    result: Reconstruction, left: NDArray[np.float32], noise: float
-) -> NDArray[np.float32] | None:
+def _less_noise(result: Reconstruction, left: Map, noise: float) -> Map | None:
     """The standard deviation of a result's depth without the noise that is averaged away."""
     sigma = result.depth_sigma_mm
     if sigma is None:
@@ -118,24 +100,14 @@ Timed = Callable[[str], AbstractContextManager[None]]
 
 @dataclass(frozen=True, eq=False)
 class StreamFrame:
-    """A result and its image.
+    """A result and its image."""
 
-    Attributes
-    ----------
-    image : (H, W, 3), RGB, after the calibration's view
-    result : Reconstruction
-    index : int, number of the frame; increasing
-    time_s : float, capture time, on the clock of `time.monotonic()`
-    frame : Frame, from the source, before the view
-    against_rest : Reconstruction, from which the memory learns; another than `result` only if a zero was set
-    """
-
-    image: NDArray[Any]
+    image: Array  # (H, W, 3), RGB, after the calibration's view
     result: Reconstruction
-    index: int
-    time_s: float
-    frame: Frame
-    against_rest: Reconstruction
+    index: int  # number of the frame; increasing
+    time_s: float  # capture time, on the clock of `time.monotonic()`
+    frame: Frame  # from the source, before the view
+    against_rest: Reconstruction  # from which the memory learns; another than `result` only if a zero was set
 
 
 def untimed(_: str) -> AbstractContextManager[None]:
@@ -151,11 +123,6 @@ class Memory:
     reconstruct : Reconstructor of the sensor, with the background at the start of the sequence
     smoothing : time constant of the smoothing, s, or None
     standing : returns the current findings about the source, such as a camera whose settings differ from the calibration's
-
-    Attributes
-    ----------
-    reconstruct, standing : for the coming frames
-    zero : the result whose depth counts as 0, from `zero_from_results`; None: the gel at rest
     """
 
     def __init__(
@@ -165,12 +132,12 @@ class Memory:
         smoothing: float | None = None,
         standing: Callable[[], tuple[Finding, ...]] = tuple,
     ) -> None:
-        self.reconstruct = reconstruct
+        self.reconstruct, self.standing = reconstruct, standing  # for the coming frames
+        # Its depth counts as 0: `zero_from_results`; None: the gel at rest.
         self.zero: Reconstruction | None = None
         self._examine: Callable[[Work], None] = lambda work: work()
         self._frozen, self._examination = Frozen(), Examination()
         self._examined: DriftEvidence | None = None
-        self.standing = standing
         self._light: tuple[Finding, ...] = ()
         self._examined_findings: tuple[Finding, ...] = ()
         self._markers = MarkerTracker(reconstruct.markers)
@@ -188,7 +155,7 @@ class Memory:
         """
         self._drift.take()
 
-    def image_from_frame(self, frame: Frame) -> NDArray[Any]:
+    def image_from_frame(self, frame: Frame) -> Array:
         """The calibration's view of a frame; ValueError if the frame has another size."""
         calibration = self.reconstruct.calibration
         expected, given = calibration.view.frame_shape or calibration.image_shape, frame.image.shape[:2]
@@ -200,24 +167,21 @@ class Memory:
             )
         return view.image_from_frame(frame.image, calibration.view)
 
-    def result_from_image(self, image: NDArray[Any]) -> Reconstruction:
+    def result_from_image(self, image: Array) -> Reconstruction:
         """Reconstruct an image with the current knowledge of the sequence; markers are tracked from image to image."""
         return result_from_image(self.reconstruct, image, self._markers.update(image))
 
-    def __call__(self, image: NDArray[Any], result: Reconstruction) -> Reconstruction:
+    def __call__(self, image: Array, result: Reconstruction) -> Reconstruction:
         """`remembered`, then `learn`, for callers that can wait for both."""
         result = self.remembered(image, result)
         self.learn(image, result)
         return result
 
     def reconstructed(self, frame: Frame, timed: Timed = untimed, *, alone: bool = False) -> StreamFrame:
-        """The result of a frame, after `remembered`, against the zero.
+        """The result of a frame, after `remembered`, against the zero; `timed(stage)` times a block.
 
-        Parameters
-        ----------
-        timed : times the stages
-        alone : whether to leave the sequence's findings, markers and smoothing out, as for a frame of a recording, whose
-            frames may come in any order
+        `alone` leaves the sequence's findings, markers and smoothing out, as for a frame of a recording, whose frames may
+        come in any order.
         """
         with timed("view"):
             image = self.image_from_frame(frame)
@@ -234,16 +198,21 @@ class Memory:
         """Run `learn` on a result of `reconstructed`."""
         self.learn(given.image, given.against_rest)
 
-    def remembered(self, image: NDArray[Any], result: Reconstruction) -> Reconstruction:
+    def remembered(self, image: Array, result: Reconstruction) -> Reconstruction:
         """The result with the findings and the smoothing of the sequence."""
         frozen = self._frozen(image, result.time_s or 0.0)
-        health = Later(partial(_with_findings, result, frozen, self._findings))
-        result = result.changed(health=health)
-        if frozen:
-            return _unknown_by_now(self.reconstruct, result)
-        return result if self._smoothing is None else self._smoothing(result)
+        standing = (*self.standing(), *self._light, *self._drift.refused, *self._examined_findings)
 
-    def learn(self, image: NDArray[Any], result: Reconstruction) -> None:
+        def health() -> tuple[Finding, ...]:
+            own = {finding.name for finding in result.health}
+            return (*result.health, *frozen, *(finding for finding in standing if finding.name not in own))
+
+        found = result.changed(health=Later(health))
+        if frozen:
+            return _unknown_by_now(self.reconstruct, found)
+        return found if self._smoothing is None else self._smoothing(found)
+
+    def learn(self, image: Array, result: Reconstruction) -> None:
         """Learn from a remembered result for the coming frames; takes some ms once a second.
 
         It may run in another thread than the frames, which then run a frame or two ahead.
@@ -258,21 +227,9 @@ class Memory:
             self._examined = self._drift.evidence
             self._examine(self._examine_evidence)
 
-    @property
-    def _findings(self) -> tuple[Finding, ...]:
-        return (*self.standing(), *self._light, *self._drift.refused, *self._examined_findings)
-
     def _examine_evidence(self) -> None:
         if (evidence := self._examined) is not None:
             self._examined_findings = self._examination(evidence)
-
-
-def _with_findings(
-    result: Reconstruction, frozen: tuple[Finding, ...], standing: tuple[Finding, ...]
-) -> tuple[Finding, ...]:
-    """A result's findings, with those of its sequence that it does not have itself."""
-    own = {finding.name for finding in result.health}
-    return (*result.health, *frozen, *(finding for finding in standing if finding.name not in own))
 
 
 def zero_from_results(results: Sequence[Reconstruction]) -> Reconstruction:
@@ -291,17 +248,14 @@ def against_zero(
 ) -> Reconstruction:
     """A result relative to another one of the same sensor: depth, slopes, their deviations and the contact.
 
-    Parameters
-    ----------
-    result, zero : both against the gel at rest
-    relaxation_mm : of the gel, as in `contact_from_depth`
+    Both are against the gel at rest, whose `relaxation_mm` is that of `contact_from_depth`.
     """
     depth, known = result.depth - zero.depth, result.known & zero.known
     sigma = Later(lambda: _both(result.depth_sigma_mm, zero.depth_sigma_mm))
     pitch = 1.0 if result.mm_per_px is None else result.mm_per_px
     solved = depth.copy()  # the caller may write to the result's
 
-    def contact() -> NDArray[np.bool_]:
+    def contact() -> Mask:
         how = {"mm_per_px": pitch, "depth_sigma_mm": sigma(), "relaxation_mm": relaxation_mm}
         return contact_from_depth(solved, **how) & known
 
@@ -322,12 +276,12 @@ def against_zero(
     )
 
 
-def _both(one: NDArray[np.float32] | None, other: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
+def _both(one: Map | None, other: Map | None) -> Map | None:
     """The standard deviation of a difference; None if one is unknown."""
     return None if one is None or other is None else np.hypot(one, other)
 
 
-def _difference_sigma(one: Any, other: Any, region: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _difference_sigma(one: Any, other: Any, region: Mask) -> Map:
     return np.asarray(np.hypot(one(region), other(region)), dtype=np.float32)
 
 
@@ -337,7 +291,7 @@ def of_frame(result: Reconstruction, frame: Frame) -> Reconstruction:
 
 
 def result_from_image(
-    reconstruct: Reconstructor, image: NDArray[Any], markers: MarkerFlow | None = None
+    reconstruct: Reconstructor, image: Array, markers: MarkerFlow | None = None
 ) -> Reconstruction:
     """The result of an image; if the Reconstructor refuses the image, a result in which nothing is known.
 

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.arrays import Array, Map, Mask, Numbers
 from gelform.calibration_file import Calibration
 from gelform.foundations.filters import robust_sigma
 from gelform.foundations.findings import Finding
@@ -36,19 +37,12 @@ BODY_PX = 15  # px; a wider contact is an object
 
 @dataclass(frozen=True)
 class Mark:
-    """One connected part of the image that differs from the start.
+    """One connected part of the image that differs from the start."""
 
-    Attributes
-    ----------
-    name : "scratch", "dust", "tear"
-    area_px, length_px : int, float
-    change : float, relative, mean of all channels
-    """
-
-    name: str
+    name: str  # "scratch", "dust", "tear"
     area_px: int
     length_px: float
-    change: float
+    change: float  # relative, mean of all channels
 
 
 class Marks:
@@ -68,7 +62,14 @@ class Marks:
             self._stays = np.zeros(odd.shape, np.uint8)
         self._stays[:] = np.where(_dilated(odd, 1), np.minimum(self._stays + 1, 250), 0)
         marks = _marks(odd & (self._stays >= MARK_STAYS), change, evidence.contact)
-        return tuple(_finding(name, marks, odd.size) for name in _WORDS if any(m.name == name for m in marks))
+        findings = []
+        for name, words in _WORDS.items():
+            named = (mark for mark in marks if mark.name == name)
+            if largest := max(named, key=lambda mark: mark.area_px, default=None):
+                share, length = largest.area_px / odd.size, largest.length_px
+                message = words.format(length=length, percent=100 * share, change=100 * largest.change)
+                findings.append(Finding(name, message, share if name == "tear" else length))
+        return tuple(findings)
 
 
 _WORDS = {
@@ -79,16 +80,7 @@ _WORDS = {
 }
 
 
-def _finding(name: str, marks: list[Mark], pixels: int) -> Finding:
-    largest = max((mark for mark in marks if mark.name == name), key=lambda mark: mark.area_px)
-    fraction = largest.area_px / pixels
-    message = _WORDS[name].format(
-        length=largest.length_px, percent=100 * fraction, change=100 * largest.change
-    )
-    return Finding(name, message, fraction if name == "tear" else largest.length_px)
-
-
-def _near_a_body(contact: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _near_a_body(contact: Mask) -> Mask:
     """Pixels (H, W) in or near a contact that is wider than a mark: their relief belongs to the touching object."""
     map8 = contact.view(np.uint8)
     wide = cv2.morphologyEx(map8, cv2.MORPH_OPEN, np.ones((BODY_PX, BODY_PX), np.uint8))
@@ -98,15 +90,12 @@ def _near_a_body(contact: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return _dilated(bodies[labels], BODY_PX)
 
 
-def _dilated(mask: NDArray[Any], by_px: int) -> NDArray[np.bool_]:
+def _dilated(mask: Array, by_px: int) -> Mask:
     """A mask (H, W) with a square margin."""
-    wide: NDArray[np.bool_] = cv2.dilate(mask.view(np.uint8), np.ones((2 * by_px + 1,) * 2, np.uint8)).view(
-        np.bool_
-    )
-    return wide
+    return np.asarray(cv2.dilate(mask.view(np.uint8), np.ones((2 * by_px + 1,) * 2, np.uint8)), dtype=bool)
 
 
-def _stands_out(change: NDArray[np.float32], near_a_body: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _stands_out(change: Map, near_a_body: Mask) -> Mask:
     """Pixels (H, W) that are torn, or differ far more than others from their wide surroundings, in any channel."""
     smooth = cv2.GaussianBlur(change, (0, 0), SMOOTH_PX)
     height, width = change.shape[:2]
@@ -120,7 +109,7 @@ def _stands_out(change: NDArray[np.float32], near_a_body: NDArray[np.bool_]) -> 
     return np.asarray((odd & ~near_a_body) | torn)
 
 
-def _marks(where: NDArray[np.bool_], change: NDArray[np.float32], contact: NDArray[np.bool_]) -> list[Mark]:
+def _marks(where: Mask, change: Map, contact: Mask) -> list[Mark]:
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(where.view(np.uint8), connectivity=8)
     marks = []
     for label in range(1, count):
@@ -132,33 +121,26 @@ def _marks(where: NDArray[np.bool_], change: NDArray[np.float32], contact: NDArr
         brighter = float(change[mine].mean())
         if name == "dust" and brighter > -DARK:
             continue
-        if name == "tear" or not _rests(mine, contact):
+        around = _dilated(mine, AROUND_PX) & ~mine
+        # Inside a wide contact an object rests on the gel, and the gel itself is unchanged.
+        if name == "tear" or not float(contact[around].mean()) > CONTACT_AROUND:
             marks.append(Mark(name, area, length, brighter))
     return marks
 
 
-def _kind(mine: NDArray[np.bool_], change: NDArray[np.float32], area: int) -> tuple[str, float]:
+def _kind(mine: Mask, change: Map, area: int) -> tuple[str, float]:
     """The name and the length, px, of a mark (H, W) whose pixels changed by (N, 3)."""
     y, x = np.nonzero(mine)
     covariance = np.cov(np.stack([x, y])) if area > 1 else np.zeros((2, 2))
     small, large = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0)) * np.sqrt(12) + 1
     if area > TORN_AREA * mine.size and abs(change.mean()) > TORN:
         return "tear", float(large)
-    thin = GROOVE_THIN if _has_both_signs(change) else THIN
-    return ("scratch" if large > LONG_PX and small < thin * large else "dust"), float(large)
-
-
-def _has_both_signs(change: NDArray[np.float32]) -> bool:
-    """Whether pixels (N, 3) became brighter and darker in equal measure, in the channel that changed most."""
     sizes = np.abs(change).mean(axis=0)
     most = int(sizes.argmax())
-    return float(abs(change[:, most].mean())) < BOTH_SIGNS * float(sizes[most])
-
-
-def _rests(mine: NDArray[np.bool_], contact: NDArray[np.bool_]) -> bool:
-    """Whether the mark lies inside a wide contact: an object rests on the gel, and the gel itself is unchanged."""
-    around = _dilated(mine, AROUND_PX) & ~mine
-    return float(contact[around].mean()) > CONTACT_AROUND
+    # In the channel that changed most, a groove is brighter and darker in equal measure.
+    groove = float(abs(change[:, most].mean())) < BOTH_SIGNS * float(sizes[most])
+    thin = GROOVE_THIN if groove else THIN
+    return ("scratch" if large > LONG_PX and small < thin * large else "dust"), float(large)
 
 
 MOVED_PX, TURNED_DEG = 0.5, 0.2  # least motion of a camera that moved
@@ -176,17 +158,12 @@ OTHER_STAYS = 2  # consecutive times: a step of the light is not followed at onc
 
 
 class SameGel:
-    """Compares a sequence's images with the background at its start.
+    """Compares a sequence's images with the background (H, W, 3), 0-255, at its start."""
 
-    Parameters
-    ----------
-    start : (H, W, 3) float32, 0-255
-    """
-
-    def __init__(self, start: NDArray[np.float32]) -> None:
+    def __init__(self, start: Map) -> None:
         self._registration = PreparedRegistration(start)
         self._start = _texture(start)
-        self._before: NDArray[np.float32] | None = None
+        self._before: Map | None = None
         self._different = self._others = 0
 
     def __call__(self, evidence: DriftEvidence) -> tuple[Finding, ...]:
@@ -195,15 +172,12 @@ class SameGel:
         self._before = texture
         self._different = self._different + 1 if evidence.different > MOSTLY_DIFFERENT else 0
         if self._different >= GEL_STAYS:
-            return (
-                _other_gel("Nearly all of the image has differed from the background image for long", 0.0),
-            )
+            return _other_gel("Nearly all of the image has differed from the background image for long", 0.0)
         free = ~evidence.touched
         free[:MARGIN_PX] = free[-MARGIN_PX:] = free[:, :MARGIN_PX] = free[:, -MARGIN_PX:] = False
         if free.mean() < LEAST_FREE:
             return ()
-        moved = self._moved(evidence)
-        if moved:
+        if moved := self._moved(evidence):
             return moved
         other = self._other_pattern(evidence) or self._other_texture(texture, before, free)
         self._others = self._others + 1 if other else 0
@@ -237,11 +211,9 @@ class SameGel:
         said = (
             f"Half of the gel at rest differs by {100 * off:.1f} % or more from the start in any smooth light"
         )
-        return (_other_gel(said, off),)
+        return _other_gel(said, off)
 
-    def _other_texture(
-        self, now: NDArray[np.float32], before: NDArray[np.float32] | None, free: NDArray[np.bool_]
-    ) -> tuple[Finding, ...]:
+    def _other_texture(self, now: Map, before: Map | None, free: Mask) -> tuple[Finding, ...]:
         """Texture that repeats from one evidence to the next, but differs from the start's."""
         if before is None:
             return ()
@@ -251,26 +223,24 @@ class SameGel:
         if expected < LEAST_EXPECTED or found > min(SAME_FRACTION * expected, SAME_GEL):
             return ()
         said = f"The fine texture correlates with the calibration's by {found:.2f}, expected {min(expected, 1.0):.2f}"
-        return (_other_gel(said, found),)
+        return _other_gel(said, found)
 
 
-def _other_gel(said: str, figure: float) -> Finding:
-    return Finding(
-        "other_gel", f"{said}. The gel or the sensor is not the calibrated one. Calibrate this one.", figure
-    )
+def _other_gel(said: str, figure: float) -> tuple[Finding, ...]:
+    message = f"{said}. The gel or the sensor is not the calibrated one. Calibrate this one."
+    return (Finding("other_gel", message, figure),)
 
 
-def _texture(image: NDArray[np.float32]) -> NDArray[np.float32]:
+def _texture(image: Map) -> Map:
     """Detail finer than 2 px and coarser than noise, (H, W): relative brightness, channels combined."""
     logs = np.log(image.mean(axis=-1) + 10)
     fine = cv2.GaussianBlur(logs, (0, 0), FINE_PX) - cv2.GaussianBlur(logs, (0, 0), COARSE_PX)
     fine -= cv2.GaussianBlur(fine, (0, 0), 2 * COARSE_PX)  # curved shading is no texture
-    limit = 6 * float(robust_sigma(fine))
-    # Limit a single speck of dust.
+    limit = 6 * float(robust_sigma(fine))  # for a single speck of dust
     return np.asarray(np.clip(fine, -limit, limit), dtype=np.float32)
 
 
-def _correlation(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
+def _correlation(a: Map, b: Map) -> float:
     a, b = a - a.mean(), b - b.mean()
     size = float(np.sqrt(np.dot(a, a) * np.dot(b, b)))
     return float(np.dot(a, b)) / size if size > 0 else 0.0
@@ -278,7 +248,6 @@ def _correlation(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
 
 FROZEN = "frozen"
 FROZEN_S, FROZEN_FRAMES = 0.25, 3  # s and frames: videos repeat some frames; noise makes all others differ
-ROWS_APART = 16  # px between the rows of a first check for equal images
 BRIGHTER = 0.08  # log of the gain of all channels: slopes stay good, but something changed
 COLORED = 0.03  # log of one channel's gain relative to the others
 
@@ -296,13 +265,9 @@ class CameraCheck:
         self._findings: tuple[Finding, ...] = ()
 
     def __call__(self, camera: Source | Grabber) -> tuple[Finding, ...]:
-        """Find `other_camera` and `settings_mismatch`.
+        """Find `other_camera` and `settings_mismatch` from serial number and settings, as read back and as far as known.
 
         Their figures are 1, and the number of settings that differ from the calibration.
-
-        Parameters
-        ----------
-        camera : its serial number and settings, as read back; unknown ones are not compared
         """
         now = camera.serial, dict(camera.settings)
         if self._compared != now:
@@ -327,13 +292,15 @@ class Frozen:
     """Counts for how long the images of a sequence have been equal, pixel by pixel."""
 
     def __init__(self) -> None:
-        self._last: NDArray[Any] | None = None
+        self._last: Array | None = None
         self._since_s = 0.0
         self._count = 0
 
-    def __call__(self, image: NDArray[Any], time_s: float) -> tuple[Finding, ...]:
+    def __call__(self, image: Array, time_s: float) -> tuple[Finding, ...]:
         """The finding `frozen` (figure: duration, s), from the third equal image and 0.25 s on."""
-        if self._last is None or not _equal(image, self._last) or time_s < self._since_s:
+        last, rows = self._last, slice(None, None, 16)  # a first check of some rows
+        equal = last is not None and np.array_equal(image[rows], last[rows]) and np.array_equal(image, last)
+        if not equal or time_s < self._since_s:
             self._last, self._since_s, self._count = image, time_s, 1
             return ()
         self._count += 1
@@ -344,13 +311,7 @@ class Frozen:
         return (Finding(FROZEN, message, for_s),)
 
 
-def _equal(image: NDArray[Any], other: NDArray[Any]) -> bool:
-    if image.shape != other.shape or not np.array_equal(image[::ROWS_APART], other[::ROWS_APART]):
-        return False
-    return np.array_equal(image, other)
-
-
-def light_findings(gains: NDArray[np.float64]) -> tuple[Finding, ...]:
+def light_findings(gains: Numbers) -> tuple[Finding, ...]:
     """Find `brightness_shift` and `color_shift` by gains (3,) against the start; a figure is the largest gain minus 1."""
     logs = np.log(np.maximum(gains, 1e-3))
     said = ", ".join(f"{name} {100 * (gain - 1):+.1f} %" for name, gain in zip("RGB", gains))
