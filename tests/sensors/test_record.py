@@ -41,11 +41,13 @@ from gelform.sensors.record import (
 )
 from gelform.sensors.recordings.mcap_reader import end_missing
 from gelform.sensors.recordings.mcap_writer import (
+    RAW_SCHEMA_NAME,
+    SCHEMA_NAME,
     McapRecording,
+    decoded,
     message_from_picture,
-    picture_from_message,
     pixels_from_raw,
-    raw_image_from_message,
+    time_ns_of,
 )
 from gelform.sensors.source import open_source
 from live_waiting import until
@@ -302,42 +304,45 @@ def test_there_and_back_and_torn_or_foreign_ones_refused():
     for frame_id in ("", "a", "camera", "Kamera ü"):
         for kind in ("png", "jpeg"):
             message = message_from_picture(content, kind, WHEN_NS, frame_id)
-            assert picture_from_message(message) == (content, WHEN_NS)
+            found = decoded(message, SCHEMA_NAME)
+            assert (found.data.tobytes(), time_ns_of(found)) == (content, WHEN_NS)
     message = message_from_picture(b"\xaa" * 50, "png", WHEN_NS, "cam")
     for end in (0, 3, 10, 20, len(message) - 1):
         with pytest.raises(ValueError, match="Expected"):
-            picture_from_message(message[:end])
+            decoded(message[:end], SCHEMA_NAME)
     with pytest.raises(ValueError, match="Expected"):
-        picture_from_message(b"\x00\x00" + message[2:])  # of big numbers first, which these are not
+        decoded(b"\x00\x00" + message[2:], SCHEMA_NAME)  # of big numbers first, which these are not
 
 
 PIXELS = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
 
 
+def raw_image(*what, **how):
+    """The message of a picture, there and back."""
+    return decoded(raw_message(*what, **how), RAW_SCHEMA_NAME)
+
+
 def test_raw_pictures_with_padded_rows():
     for frame_id in ("", "a", "cam", "camera"):
         for padding in (0, 3):
-            message = raw_message(PIXELS, "rgb8", wall_time_ns=WHEN_NS, padding=padding, frame_id=frame_id)
-            image = raw_image_from_message(message)
-            assert (image.wall_time_ns, image.shape, image.encoding) == (WHEN_NS, (2, 3), "rgb8")
+            image = raw_image(PIXELS, "rgb8", wall_time_ns=WHEN_NS, padding=padding, frame_id=frame_id)
+            assert (time_ns_of(image), image.encoding) == (WHEN_NS, "rgb8")
             np.testing.assert_array_equal(pixels_from_raw(image), PIXELS)
-    image = raw_image_from_message(raw_message(PIXELS, "bgr8"))
-    np.testing.assert_array_equal(pixels_from_raw(image), PIXELS[..., ::-1])
+    np.testing.assert_array_equal(pixels_from_raw(raw_image(PIXELS, "bgr8")), PIXELS[..., ::-1])
 
 
 def test_raw_pictures_that_are_none_are_refused():
     message = raw_message(PIXELS)
     for end in range(len(message)):
         with pytest.raises(ValueError, match="Expected"):
-            raw_image_from_message(message[:end])
+            decoded(message[:end], RAW_SCHEMA_NAME)
     with pytest.raises(ValueError, match=r"rgb8 or bgr8 .*got 8UC3"):
-        pixels_from_raw(raw_image_from_message(raw_message(PIXELS, "8UC3")))
-    image = raw_image_from_message(message)
-    for wrong in ({"step": 8}, {"shape": (3, 3)}, {"shape": (0, 3)}, {"data": np.empty(0, np.uint8)}):
+        pixels_from_raw(raw_image(PIXELS, "8UC3"))
+    for wrong in ({"step": 8}, {"height": 3}, {"height": 0}, {"data": np.empty(0, np.uint8)}):
         with pytest.raises(ValueError, match="rows of"):
-            pixels_from_raw(image._replace(**wrong))
+            pixels_from_raw(replace(raw_image(PIXELS), **wrong))
     with pytest.raises(ValueError, match="ros2 bag convert"):
-        raw_image_from_message(b"\x28\xb5\x2f\xfd" + bytes(40))
+        decoded(b"\x28\xb5\x2f\xfd" + bytes(40), RAW_SCHEMA_NAME)
 
 
 def test_encodings_of_other_drivers_become_rgb():
@@ -347,14 +352,13 @@ def test_encodings_of_other_drivers_become_rgb():
         ("rgba8", np.concatenate([PIXELS, alpha], axis=2)),
         ("bgra8", np.concatenate([PIXELS[..., ::-1], alpha], axis=2)),
     ):
-        message = raw_message(stored, encoding, padding=3)
-        np.testing.assert_array_equal(pixels_from_raw(raw_image_from_message(message)), PIXELS)
+        np.testing.assert_array_equal(pixels_from_raw(raw_image(stored, encoding, padding=3)), PIXELS)
     luma, u, v = 120, 100, 170
     scaled = 1.164 * (luma - 16)
     wanted = scaled + np.array([1.596 * (v - 128), -0.392 * (u - 128) - 0.813 * (v - 128), 2.017 * (u - 128)])
     for encoding, pair in (("yuv422_yuy2", (luma, u, luma, v)), ("yuv422", (u, luma, v, luma))):
         rows = np.tile(np.array(pair, np.uint8).reshape(1, 2, 2), (4, 3, 1))
-        image = pixels_from_raw(raw_image_from_message(raw_message(rows, encoding)))
+        image = pixels_from_raw(raw_image(rows, encoding))
         assert image.shape == (4, 6, 3)
         assert np.abs(image - wanted).max() < 2
     for encoding, said in (
@@ -363,4 +367,4 @@ def test_encodings_of_other_drivers_become_rgb():
         ("8UC3", "which channel is red"),
     ):
         with pytest.raises(ValueError, match=f"Expected pictures in rgb8 or .*{said}"):
-            pixels_from_raw(raw_image_from_message(raw_message(PIXELS, encoding)))
+            pixels_from_raw(raw_image(PIXELS, encoding))

@@ -7,7 +7,7 @@ import struct
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
@@ -24,18 +24,17 @@ from gelform.sensors.recordings.mcap_writer import (
     RAW_SCHEMA_NAME,
     SCHEMA_NAME,
     TOPIC,
-    picture_from_message,
+    decoded,
     pixels_from_raw,
-    raw_image_from_message,
+    time_ns_of,
     way_for_encoding,
 )
 
 MAGIC = b"\x89MCAP0\r\n"  # at the start and the end of a file (MCAP specification)
 CUT = "The frames before that are read; how many follow is not known."
 METADATA_FILE, METADATA_KEY = "metadata.yaml", "rosbag2_bagfile_information"
-MAX_RECORD_BYTES = (
-    256 * 2**20
-)  # of a record or a decompressed chunk; a larger one is damaged and would fill the memory
+# Bytes of a record or a decompressed chunk; a larger one is damaged and would fill the memory.
+MAX_RECORD_BYTES = 256 * 2**20
 SAMPLED_RECORDS = 200  # records that are read to find which pictures a file contains
 DEPTH_SUFFIX = "/compressedDepth"  # of image_transport: the message type is a picture's, the content is not a plain picture
 
@@ -160,10 +159,8 @@ def records_from(path: Path, offset: int = 0) -> Iterator[tuple[int, list[Any]]]
         begins = offset or 8  # after the magic at the start
         for record in reader.records:
             is_chunk = type(record).__name__ == "Chunk"
-            yield (
-                begins,
-                mcap.breakup_chunk(_decompressed(record), validate_crc=True) if is_chunk else [record],
-            )
+            inside = mcap.breakup_chunk(_decompressed(record), validate_crc=True) if is_chunk else [record]
+            yield begins, inside
             begins = file.tell()
 
 
@@ -225,76 +222,54 @@ class PictureTopic:
     numbered: bool = False
 
 
-@dataclass
-class _Found:
-    """Facts, topics and encodings that the first records state."""
-
-    facts: RecordingFacts | None = None
-    compressed: list[str] = field(default_factory=list)
-    encodings: dict[str, str] = field(default_factory=dict)  # of raw pictures; "" until the first message
-    others: list[str] = field(default_factory=list)
-
-    @property
-    def colored(self) -> list[str]:
-        return [topic for topic, encoding in self.encodings.items() if encoding in COLOR_ENCODINGS]
-
-    @property
-    def undecided(self) -> bool:
-        return "" in self.encodings.values()
-
-
 def picture_topic_of(path: Path) -> tuple[RecordingFacts, PictureTopic]:
     """The facts and the topic of pictures, from the first records: gelform's own topic, else the only one.
 
     DataError: there is no readable topic, or several; the message names them and says what to do.
     """
-    found = _Found()
+    facts: RecordingFacts | None = None
+    compressed, others = list[str](), list[str]()
+    encodings: dict[str, str] = {}  # of raw pictures; "" until the first message
     for count, record in enumerate(mcap_records(path)):
-        _add(found, record, path)
-        if TOPIC in found.compressed or (count > SAMPLED_RECORDS and not found.undecided):
+        if type(record).__name__ == "Metadata" and record.name == METADATA:
+            facts = RecordingFacts.from_json(record.metadata.get("facts", ""), str(path))
+        elif isinstance(record, Channel):
+            readable = record.encoding == MESSAGE_ENCODING and not record.topic.endswith(DEPTH_SUFFIX)
+            if readable and record.schema == RAW_SCHEMA_NAME:
+                encodings[record.topic] = ""
+            else:
+                (compressed if readable and record.schema == SCHEMA_NAME else others).append(record.topic)
+        elif isinstance(record, PlacedMessage) and encodings.get(record.topic) == "":
+            try:
+                encodings[record.topic] = decoded(record.message.data, RAW_SCHEMA_NAME).encoding
+            except ValueError as problem:
+                raise DataError(f"{path}: {record.topic} cannot be read. {problem}") from problem
+        if TOPIC in compressed or (count > SAMPLED_RECORDS and "" not in encodings.values()):
             break
-    if TOPIC in found.compressed:
-        return found.facts or RecordingFacts(path.name), PictureTopic(TOPIC, numbered=found.facts is not None)
-    topics = [*found.compressed, *found.colored]
+    if TOPIC in compressed:
+        return facts or RecordingFacts(path.name), PictureTopic(TOPIC, numbered=facts is not None)
+    topics = [*compressed, *(topic for topic, encoding in encodings.items() if encoding in COLOR_ENCODINGS)]
     if len(topics) == 1:
-        return RecordingFacts(path.name), PictureTopic(topics[0], raw=topics[0] in found.encodings)
-    raise DataError(_refusal(path, found, topics))
+        return RecordingFacts(path.name), PictureTopic(topics[0], raw=topics[0] in encodings)
+    if facts is not None and not topics:
+        raise DataError(f"{path} holds no frame yet: its recorder ended, or was killed, before the first.")
+    raise DataError(_refusal(path, topics, encodings, others))
 
 
-def _add(found: _Found, record: Any, path: Path) -> None:
-    if type(record).__name__ == "Metadata" and record.name == METADATA:
-        found.facts = RecordingFacts.from_json(record.metadata.get("facts", ""), str(path))
-    elif isinstance(record, Channel):
-        readable = record.encoding == MESSAGE_ENCODING and not record.topic.endswith(DEPTH_SUFFIX)
-        if readable and record.schema == SCHEMA_NAME:
-            found.compressed.append(record.topic)
-        elif readable and record.schema == RAW_SCHEMA_NAME:
-            found.encodings[record.topic] = ""
-        else:
-            found.others.append(record.topic)
-    elif isinstance(record, PlacedMessage) and found.encodings.get(record.topic) == "":
-        try:
-            found.encodings[record.topic] = raw_image_from_message(record.message.data).encoding
-        except ValueError as problem:
-            raise DataError(f"{path}: {record.topic} cannot be read. {problem}") from problem
-
-
-def _refusal(path: Path, found: _Found, topics: list[str]) -> str:
+def _refusal(path: Path, topics: list[str], encodings: dict[str, str], others: list[str]) -> str:
     """Why there is no readable topic, and what to do."""
-    if found.facts is not None and not topics:
-        return f"{path} holds no frame yet: its recorder ended, or was killed, before the first."
     if topics:
         return (
             f"Expected one topic of pictures in {path}, got {', '.join(topics)}. Keep the sensor's alone, for example: "
             f"mcap filter {path.name} -y {topics[0]} -o one.mcap"
         )
-    wrong = [f"{topic} ({encoding})" for topic, encoding in found.encodings.items() if encoding]
+    wrong = [f"{topic} ({encoding})" for topic, encoding in encodings.items() if encoding]
     if wrong:
         return (
             f"Expected pictures of encoding {' or '.join(COLOR_ENCODINGS)} in {path}, got {', '.join(wrong)}."
-            + way_for_encoding(next(filter(None, found.encodings.values())))
+            + way_for_encoding(next(filter(None, encodings.values())))
         )
-    beside = ", ".join([*found.encodings, *found.others])
+    beside = ", ".join([*encodings, *others])
     return (
         f"Expected a topic of {SCHEMA_NAME} (PNG, JPEG) or {RAW_SCHEMA_NAME} with messages in {path}, got none"
         + (f", beside {beside}." if beside else ".")
@@ -303,11 +278,11 @@ def _refusal(path: Path, found: _Found, topics: list[str]) -> str:
 
 
 class MessagePlace(NamedTuple):
-    """Place of a message: its time, the file offset of its record (a chunk, or itself), its number within the record."""
+    """Place of a message in a file."""
 
     log_time: int
-    offset: int
-    nth: int
+    offset: int  # of its record: a chunk, or itself
+    nth: int  # message of that record
 
 
 class Recording(Film):
@@ -358,14 +333,15 @@ class Recording(Film):
         where = f"Frame {index} of {self._file}"
         try:
             if self._topic.raw:
-                raw = raw_image_from_message(message.data)
-                return Frame(pixels_from_raw(raw), time_s, raw.wall_time_ns, index)
-            content, wall_time_ns = picture_from_message(message.data)
+                raw = decoded(message.data, RAW_SCHEMA_NAME)
+                return Frame(pixels_from_raw(raw), time_s, time_ns_of(raw), index)
+            picture = decoded(message.data, SCHEMA_NAME)
         except ValueError as problem:
             raise DataError(f"{where} is damaged: {problem}") from problem
+        content = picture.data.tobytes()
         encoded = content if content.startswith(b"\xff\xd8") else None
         image = image_from_encoded(content, reduction_in(self.camera.settings), where)
-        return Frame(image, time_s, wall_time_ns, index, encoded)
+        return Frame(image, time_s, time_ns_of(picture), index, encoded)
 
     def _messages_at(self, offset: int) -> list[Any]:
         if offset not in self._chunks:

@@ -8,12 +8,12 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Image
 from gelform.errors import DataError, needed
 from gelform.image.frame import Frame
 from gelform.sensors.playback import ATTACHABLE, RecordingFacts, encoded_from_frame
@@ -45,57 +45,38 @@ def header_of(store: Any, stamp_ns: int, frame_id: str) -> Any:
     return store.types["std_msgs/msg/Header"](stamp, frame_id)
 
 
-def schema_of_picture() -> bytes:
-    """The definition of SCHEMA_NAME, as MCAP files have it."""
-    definition: str = typestore().generate_msgdef(SCHEMA_NAME, ros_version=2)[0]
-    return definition.encode()
-
-
 def message_from_picture(content: bytes, picture_format: str, wall_time_ns: int, frame_id: str) -> bytes:
-    """A message with a picture.
-
-    Parameters
-    ----------
-    content : the bytes of a PNG or a JPEG
-    picture_format : "png" or "jpeg"
-    wall_time_ns : capture time, UTC
-    frame_id : name of the camera
-    """
+    """A message with the bytes of a "png" or a "jpeg", its capture time (UTC) and the name of its camera."""
     store = typestore()
     header = header_of(store, wall_time_ns, frame_id)
     picture = store.types[SCHEMA_NAME](header, picture_format, np.frombuffer(content, np.uint8))
     return bytes(store.serialize_cdr(picture, SCHEMA_NAME))
 
 
-def picture_from_message(message: bytes) -> tuple[bytes, int]:
-    """The picture's bytes and its time (UTC, ns); ValueError if the message is not of this type."""
-    found = _decoded(message, SCHEMA_NAME)
-    return found.data.tobytes(), _time_ns(found)
+def decoded(message: bytes, kind: str) -> Any:
+    """The message of a kind (SCHEMA_NAME, RAW_SCHEMA_NAME), with its fields; ValueError if it is not of this kind."""
+    from rosbags.serde import SerdeError
+
+    if message[:4] == _ZSTD:
+        raise ValueError("Its messages are compressed. Convert the bag without: ros2 bag convert.")
+    try:
+        return typestore().deserialize_cdr(message, kind)
+    except SerdeError as problem:
+        raise ValueError(f"Expected a whole message of {kind}: {problem}") from problem
 
 
-class RawImage(NamedTuple):
-    """A sensor_msgs/Image whose pixels are not decoded yet."""
-
-    wall_time_ns: int
-    shape: tuple[int, int]
-    encoding: str
-    step: int
-    data: NDArray[np.uint8]
+def time_ns_of(message: Any) -> int:
+    """The time of a message with a header, UTC, ns."""
+    return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
 
 
-def raw_image_from_message(message: bytes) -> RawImage:
-    """The fields of a message with an uncompressed picture; ValueError if it is of another type."""
-    found = _decoded(message, RAW_SCHEMA_NAME)
-    return RawImage(_time_ns(found), (found.height, found.width), found.encoding, found.step, found.data)
-
-
-def pixels_from_raw(image: RawImage) -> NDArray[np.uint8]:
-    """The pixels (H, W, 3) uint8, RGB; ValueError for an encoding outside COLOR_ENCODINGS or inconsistent sizes."""
+def pixels_from_raw(image: Any) -> Image:
+    """The pixels (H, W, 3), RGB, of a sensor_msgs/Image; ValueError for other encodings, or inconsistent sizes."""
     if image.encoding not in COLOR_ENCODINGS:
         raise ValueError(
             f"Expected pictures in {' or '.join(COLOR_ENCODINGS)}, got {image.encoding}.{way_for_encoding(image.encoding)}"
         )
-    height, width = image.shape
+    height, width = image.height, image.width
     size, code = COLOR_ENCODINGS[image.encoding]
     fits = image.step >= size * width and len(image.data) == height * image.step
     if not (height and width and fits) or (size == 2 and width % 2):
@@ -116,21 +97,6 @@ def way_for_encoding(encoding: str) -> str:
     return " It does not say which channel is red: set the camera driver's encoding to rgb8 or bgr8 and record again."
 
 
-def _decoded(message: bytes, kind: str) -> Any:
-    from rosbags.serde import SerdeError
-
-    if message[:4] == _ZSTD:
-        raise ValueError("Its messages are compressed. Convert the bag without: ros2 bag convert.")
-    try:
-        return typestore().deserialize_cdr(message, kind)
-    except SerdeError as problem:
-        raise ValueError(f"Expected a whole message of {kind}: {problem}") from problem
-
-
-def _time_ns(message: Any) -> int:
-    return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
-
-
 TOPIC, METADATA = "/gelform/image/compressed", "gelform"
 FLUSH_S = 0.5  # s of frames that a killed recorder loses
 
@@ -148,54 +114,43 @@ class McapRecording:
     facts : of the camera
     attached : attached files by name: `attachments_of`
 
-    Attributes
-    ----------
-    frames : number of frames written; of those that can be read, once the disk has refused more
-
-    Raises
-    ------
-    DataError
-        The file exists or cannot be written, or the extra `mcap` is not installed.
+    DataError: the file exists or cannot be written, or the extra `mcap` is not installed.
     """
+
+    frames: int  # written; once the disk has refused more, those that can be read
 
     def __init__(
         self, path: Path, facts: RecordingFacts, attached: Mapping[str, bytes] | None = None
     ) -> None:
-        mcap, definition = needed("mcap.writer", "mcap", "An MCAP file"), schema_of_picture()
+        mcap = needed("mcap.writer", "mcap", "An MCAP file")
+        definition = typestore().generate_msgdef(SCHEMA_NAME, ros_version=2)[0].encode()
         self.path = path
-        self.frames, self._kept, self._kept_bytes = 0, 0, 0
+        self.frames = self._kept = self._kept_bytes = 0
         self._frame_id = facts.serial or facts.name
+        self._epoch_ns: int | None = None
         try:
             self._file = path.open("xb")
         except FileExistsError:
             raise DataError(f"{path} is there already. Give another name, or remove it.") from None
         except OSError as problem:
             raise DataError(f"Cannot write {path}: {problem.strerror}.") from problem
+        uncompressed = mcap.CompressionType.NONE  # pictures are already compressed
+        self._writer = mcap.Writer(self._file, chunk_size=2**24, compression=uncompressed)
+        # The library ends a chunk only by its size; the method that ends one is private (a test guards this use).
+        self._end_chunk = self._writer._Writer__finalize_chunk
         try:
-            self._begin(mcap, definition, facts, attached or {})
+            with self._faults_named():
+                self._writer.start(profile="ros2", library=f"gelform {facts.library_version}")
+                self._writer.add_metadata(METADATA, {"facts": facts.to_json()})
+                for name, content in (attached or {}).items():
+                    now_ns = time.time_ns()
+                    self._writer.add_attachment(now_ns, now_ns, name, ATTACHABLE[name], content)
+                schema = self._writer.register_schema(SCHEMA_NAME, SCHEMA_ENCODING, definition)
+                self._channel = self._writer.register_channel(TOPIC, MESSAGE_ENCODING, schema)
             self._flush()
         except DataError:
             path.unlink(missing_ok=True)
             raise
-
-    def _begin(
-        self, mcap: Any, definition: bytes, facts: RecordingFacts, attached: Mapping[str, bytes]
-    ) -> None:
-        """Write what stands before the first frame."""
-        uncompressed = mcap.CompressionType.NONE  # pictures are already compressed
-        self._writer = mcap.Writer(self._file, chunk_size=2**24, compression=uncompressed)
-        with self._faults_named():
-            self._writer.start(profile="ros2", library=f"gelform {facts.library_version}")
-            self._writer.add_metadata(METADATA, {"facts": facts.to_json()})
-            for name, content in attached.items():
-                now_ns = time.time_ns()
-                self._writer.add_attachment(now_ns, now_ns, name, ATTACHABLE[name], content)
-            schema = self._writer.register_schema(SCHEMA_NAME, SCHEMA_ENCODING, definition)
-            self._channel = self._writer.register_channel(TOPIC, MESSAGE_ENCODING, schema)
-        # The library ends a chunk only by its size; the method that ends one is private (a test guards this use).
-        self._end_chunk = self._writer._Writer__finalize_chunk
-        self._epoch_ns: int | None = None
-        self._flushed_s = time.monotonic()
 
     def write(self, frame: Frame) -> int:
         """Add a frame; return its size in bytes."""
@@ -234,23 +189,22 @@ class McapRecording:
 
     @contextmanager
     def _faults_named(self) -> Iterator[None]:
-        """Context for writing: what the disk refuses raises DataError, and the file keeps what can be read."""
+        """Context for writing: what the disk refuses raises DataError, and the file keeps what can be read.
+
+        It ends as a killed recorder's, at its last whole chunk, and is deleted without a frame.
+        """
         try:
             yield
         except OSError as problem:
-            self._give_up()
+            self.frames = self._kept
+            with suppress(OSError):
+                self._file.close()  # tries to write again
+            with suppress(OSError):
+                if self.frames:
+                    os.truncate(self.path, self._kept_bytes)
+                else:
+                    self.path.unlink()
             kept = (
                 f"Its first {self.frames} frames can be read." if self.frames else "No frame of it is kept."
             )
             raise DataError(f"Cannot write {self.path} any further: {problem.strerror}. {kept}") from problem
-
-    def _give_up(self) -> None:
-        """Close the file as a killed recorder leaves it, at the end of its last whole chunk; delete it without a frame."""
-        self.frames = self._kept
-        with suppress(OSError):
-            self._file.close()  # tries to write again
-        with suppress(OSError):
-            if self.frames:
-                os.truncate(self.path, self._kept_bytes)
-            else:
-                self.path.unlink()
