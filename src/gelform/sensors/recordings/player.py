@@ -13,26 +13,19 @@ from gelform.errors import DataError, GelformError
 from gelform.image.frame import Frame
 from gelform.sensors.playback import Film
 
-BEGIN_POLL_S = 0.1  # s between two looks whether it may begin
 SLOWEST, FASTEST = 1 / 16, 16.0  # times the original pace
 
 
 @dataclass(frozen=True)
 class ReplayedFrame(Frame):
-    """A frame of a recording, shown now.
+    """A frame of a recording, shown now."""
 
-    Attributes
-    ----------
-    number : in the recording, from 0
-    recorded_s : recording time, from the first frame
-    """
-
-    number: int = 0
-    recorded_s: float = 0.0
+    number: int = 0  # in the recording
+    recorded_s: float = 0.0  # recording time, from the first frame
 
 
 class Player:
-    """Plays a recording: at first from its start, at its own pace and once.
+    """Plays a recording: at first from its start, at its own pace and once. `playing` says whether it is.
 
     A reader that is too slow gets the newest frame that is due. At a damaged frame playing stops, and `problem` gives
     the reason; the frame is skipped. Methods may be called in any thread.
@@ -61,7 +54,7 @@ class Player:
         self._clock = clock
         self._changed = threading.Condition()
         self._closed, self._waits = False, True
-        self._playing, self._loops, self._speed = True, False, 1.0
+        self.playing, self._loops, self._speed = True, False, 1.0
         self._number, self._asked = -1, 0
         self._from_s, self._since_s = 0.0, clock()
 
@@ -74,15 +67,8 @@ class Player:
                 self.problem = str(problem)
                 self.play(False)
                 continue
-            yield ReplayedFrame(
-                frame.image,
-                self._clock(),
-                frame.wall_time_ns,
-                index,
-                frame.encoded,
-                number,
-                self.recording.times_s[number],
-            )
+            shown = frame.image, self._clock(), frame.wall_time_ns, index, frame.encoded
+            yield ReplayedFrame(*shown, number, self.recording.times_s[number])
             index += 1
 
     # -- controls -----------------------------------------------------------------------------------------------------
@@ -110,7 +96,7 @@ class Player:
     def again(self) -> None:
         """Show the current frame again, because its reconstruction has changed."""
         with self._changed:
-            if not self._playing and self._asked < 0:
+            if not self.playing and self._asked < 0:
                 self._asked = max(self._number, 0)
                 self._set()
 
@@ -128,11 +114,6 @@ class Player:
             self._loops = loops
             self._set()
 
-    @property
-    def playing(self) -> bool:
-        """Whether it is playing."""
-        return self._playing
-
     def facts(self) -> dict[str, Any]:
         """The player's state for the page."""
         with self._changed:
@@ -143,7 +124,7 @@ class Player:
                 "count": len(times),
                 "time_s": times[max(self._number, 0)],
                 "duration_s": times[-1],
-                "playing": self._playing,
+                "playing": self.playing,
                 "speed": self._speed,
                 "loop": self._loops,
                 "problem": self.problem,
@@ -165,7 +146,7 @@ class Player:
 
     def _set(self, playing: bool | None = None) -> None:
         """Apply a change; the pace counts from the current frame."""
-        self._playing = self._playing if playing is None else playing
+        self.playing = self.playing if playing is None else playing
         self._from_s, self._since_s = self.recording.times_s[max(self._number, 0)], self._clock()
         self._changed.notify_all()
 
@@ -174,27 +155,27 @@ class Player:
         with self._changed:
             while not self._closed:
                 if self._asked >= 0:
-                    return self._show(self._asked)
-                if not self._playing:
+                    self._asked, self._number = -1, self._asked
+                    self._set()
+                    return self._number
+                if not self.playing:
                     self._changed.wait()
-                elif self._number >= len(self.recording.times_s) - 1:
-                    self._at_end()
-                elif (number := self._due()) > self._number:
-                    self._number = number
-                    return number
+                elif self._number < len(self.recording.times_s) - 1:
+                    if (number := self._due()) > self._number:
+                        self._number = number
+                        return number
+                elif self._loops and len(self.recording.times_s) > 1:
+                    self._asked = 0
+                else:
+                    self.playing = False
             return None
-
-    def _show(self, number: int) -> int:
-        self._asked, self._number = -1, number
-        self._set()
-        return number
 
     def _due(self) -> int:
         """The newest frame that is due; waits for the next one if none is."""
         times = self.recording.times_s
         if self._waits and self._number == 0:
             if not self._may_begin():
-                self._changed.wait(BEGIN_POLL_S)
+                self._changed.wait(0.1)  # s between two looks whether it may begin
                 self._since_s = self._clock()
                 return self._number
             self._waits = False
@@ -204,9 +185,3 @@ class Player:
             self._changed.wait(wait_s)
             return self._number
         return bisect_right(times, at_s) - 1
-
-    def _at_end(self) -> None:
-        if self._loops and len(self.recording.times_s) > 1:
-            self._asked = 0
-        else:
-            self._playing = False
