@@ -72,15 +72,9 @@ def films_in(folder: Path) -> list[Path]:
 class Images(Film):
     """The images of a folder, ordered by name, or of a file of several images, evenly spaced in time.
 
-    Parameters
-    ----------
-    path : a folder of images, a TIFF of several pages, or an array (N, H, W, 3) of numpy (`.npy`)
-    rate_hz : images per second
+    The file is a TIFF of several pages, or an array (N, H, W, 3) of numpy (`.npy`).
 
-    Raises
-    ------
-    DataError
-        The folder contains no image; in a loop: an image cannot be read.
+    DataError: the folder contains no image; in a loop: an image cannot be read.
     """
 
     def __init__(self, path: Path, rate_hz: float = USUAL_RATE_HZ) -> None:
@@ -102,11 +96,11 @@ class Images(Film):
 
 @dataclass(frozen=True)
 class VideoFacts:
-    """Facts that a video file states: shape (H, W), frame rate in Hz, number of frames; 0 where unknown."""
+    """Facts that a video file states; 0 where unknown."""
 
-    shape: tuple[int, int]
+    shape: tuple[int, int]  # (H, W)
     frame_rate_hz: float
-    count: int
+    count: int  # of frames
 
 
 class Video(Film):
@@ -132,23 +126,14 @@ class Video(Film):
     def __init__(self, path: str | Path) -> None:
         self.path = check_path(path)
         capture = self._opened()
-        width, height, rate, count = (
-            capture.get(which)
-            for which in (
-                cv2.CAP_PROP_FRAME_WIDTH,
-                cv2.CAP_PROP_FRAME_HEIGHT,
-                cv2.CAP_PROP_FPS,
-                cv2.CAP_PROP_FRAME_COUNT,
-            )
-        )
+        width = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
+        height = int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        rate = float(capture.get(cv2.CAP_PROP_FPS))
+        rate = rate if 0 < rate < 1000 else 0.0
+        self.facts = VideoFacts((height, width), rate, max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT))))
         capture.release()
-        rate = float(rate) if np.isfinite(rate) and 0 < rate < 1000 else 0.0
-        self.facts = VideoFacts((int(height), int(width)), rate, max(0, int(count)))
-        self.count, settings = self.facts.count, {"width": float(int(width)), "height": float(int(height))}
+        self.count, settings = self.facts.count, {"width": float(width), "height": float(height)}
         super().__init__(self.path, RecordingFacts(self.path.name, settings=settings, rate_hz=rate or None))
-
-    def _read(self) -> Iterator[Frame]:
-        return self.frames()
 
     def frames(self, only: Container[int] | None = None) -> Iterator[Frame]:
         """The frames, or those with an index in `only`; the others are not decoded."""
@@ -171,6 +156,8 @@ class Video(Film):
                 f"{self.path} ends after {index} of {self.facts.count} frames: truncated or damaged. "
                 "Copy or record it again."
             )
+
+    _read = frames
 
     def _opened(self) -> cv2.VideoCapture:
         if not self.path.is_file():

@@ -13,8 +13,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Image
 from gelform.errors import DataError
 from gelform.foundations.pictures import FAST_PNG, picture_bytes
 from gelform.image.frame import Frame, in_rgb
@@ -23,34 +23,24 @@ from gelform.sensors.pictures import check_declared, image_from_jpeg
 
 FORMAT_VERSION = 1
 CALIBRATION, BACKGROUND = "calibration.npz", "background.png"
-ATTACHABLE = {
-    CALIBRATION: "application/x-npz",
-    BACKGROUND: "image/png",
-}  # facts that a recording may contain, with their types
+# What a recording may carry, with its types.
+ATTACHABLE = {CALIBRATION: "application/x-npz", BACKGROUND: "image/png"}
 
 
 @dataclass(frozen=True)
 class RecordingFacts:
-    """The recorded camera and its settings.
-
-    Attributes
-    ----------
-    name, serial, settings, rate_hz : as of a `Source`
-    calibration_digest : digest of the calibration in use; empty without one
-    library_version : gelform's version
-    """
+    """The recorded camera, with what a `Source` tells of it."""
 
     name: str
     serial: str | None = None
     settings: Mapping[str, float | str] = field(default_factory=dict)
     rate_hz: float | None = None
-    calibration_digest: str = ""
-    library_version: str = ""
+    calibration_digest: str = ""  # of the calibration in use; empty without one
+    library_version: str = ""  # gelform's
 
     def to_json(self) -> str:
         """All facts as one JSON object."""
-        content = {**vars(self), "settings": dict(self.settings), "format_version": FORMAT_VERSION}
-        return json.dumps(content)
+        return json.dumps({**vars(self), "settings": dict(self.settings), "format_version": FORMAT_VERSION})
 
     @classmethod
     def from_json(cls, text: str, where: str) -> RecordingFacts:
@@ -75,7 +65,7 @@ def encoded_from_frame(frame: Frame) -> tuple[str, bytes]:
     return "png", picture_bytes(frame.image, settings=FAST_PNG)
 
 
-def image_from_encoded(content: bytes, reduction: int, where: str) -> NDArray[np.uint8]:
+def image_from_encoded(content: bytes, reduction: int, where: str) -> Image:
     """The pixels (H, W, 3) uint8 RGB of the result of `encoded_from_frame`; JPEGs are reduced as the camera's frames were.
 
     DataError: the bytes are damaged.
@@ -106,7 +96,7 @@ class Pace:
         self._rate_hz, self._start_s = rate_hz, time.monotonic()
 
     def wait_for(self, index: int) -> float:
-        """Wait for the time of a frame; return that time, on the clock."""
+        """As `wait_until` for the time of a frame."""
         return self.wait_until(index / self._rate_hz)
 
     def wait_until(self, after_s: float) -> float:
@@ -128,21 +118,11 @@ class Film:
     """Frames that end, in the order of time; a loop reads them from the start, `film[number]` gives any, in any thread.
 
     A kind of film has `_frame`, the one of a number, and, unless its frames are counted and evenly spaced, `_read` and
-    `times_s`.
-
-    Parameters
-    ----------
-    path : file or folder
-    camera : facts of the camera, as far as they are known
-
-    Attributes
-    ----------
-    count : number of frames that it states, or 0; a damaged file may hold fewer
-    bgr : whether its frames are blue, green, red; they come in RGB
+    `times_s`. It knows the facts of its camera as far as they are known.
     """
 
-    count = 0
-    bgr = False
+    count = 0  # number of frames that it states, or 0; a damaged file may hold fewer
+    bgr = False  # whether its frames are blue, green, red; they come in RGB
 
     def __init__(self, path: Path, camera: RecordingFacts) -> None:
         self.path, self.camera = path, camera
@@ -193,14 +173,14 @@ class Playback:
             yield frame
 
     def _paced(self) -> Iterator[Frame]:
-        pace, first_s = Pace(self.rate_hz or USUAL_RATE_HZ), None
+        rate_hz, first_s = self.rate_hz or USUAL_RATE_HZ, None
+        pace = Pace(rate_hz)
         for frame in self._frames:
             first_s = frame.time_s if first_s is None else first_s
             after_s = frame.time_s - first_s
-            if pace.late_s(after_s) > 1 / (self.rate_hz or USUAL_RATE_HZ) and after_s > 0:
-                continue
-            time_s = pace.wait_until(after_s)
-            yield replace(frame, time_s=time_s, wall_time_ns=frame.wall_time_ns or time.time_ns())
+            if after_s <= 0 or pace.late_s(after_s) <= 1 / rate_hz:
+                time_s = pace.wait_until(after_s)
+                yield replace(frame, time_s=time_s, wall_time_ns=frame.wall_time_ns or time.time_ns())
 
     def close(self) -> None:
         """End the loop over this source."""

@@ -14,9 +14,9 @@ from itertools import count
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gelform import __version__
+from gelform.arrays import Map
 from gelform.calibration_file import Calibration, load_calibration
 from gelform.errors import DataError, GelformError
 from gelform.foundations.files import check_free
@@ -39,15 +39,10 @@ MAX_ATTACHMENT_BYTES = 64 * 2**20
 KEPT_FRAMES = 32  # held by the grabber for `record_frames`: bridges half a second in which the disk stalls
 
 
-def attachments_of(
-    calibration: Calibration | None, background: NDArray[np.floating] | None = None
-) -> dict[str, bytes]:
+def attachments_of(calibration: Calibration | None, background: Map | None = None) -> dict[str, bytes]:
     """The files that `new_recording` attaches, by name.
 
-    Parameters
-    ----------
-    calibration : the one in use, or None
-    background : (H, W, 3) RGB in whole gray levels, taken after the calibration, or None
+    `background` (H, W, 3) is RGB in whole gray levels, taken after the calibration.
     """
     attached = {}
     if calibration is not None:
@@ -68,7 +63,12 @@ def attached_to(path: Path) -> dict[str, bytes]:
     """
     if path.suffix.lower() != ".mcap" and not is_bag_folder(path):
         return {}
-    found = _in_mcap(mcap_file_in(path))
+    found: dict[str, bytes] = {}
+    for record in mcap_records(mcap_file_in(path)):
+        if isinstance(record, PlacedMessage):
+            break
+        if type(record).__name__ == "Attachment" and record.name in ATTACHABLE:
+            found[record.name] = record.data
     for name, content in found.items():
         if len(content) > MAX_ATTACHMENT_BYTES:
             raise DataError(
@@ -96,7 +96,7 @@ def attached_calibration(path: str | Path) -> Calibration | None:
         return load_calibration(written)
 
 
-def attached_background(path: str | Path) -> NDArray[np.float32] | None:
+def attached_background(path: str | Path) -> Map | None:
     """The background (H, W, 3), RGB, attached to a recording; None if there is none."""
     content = attached_to(Path(path)).get(BACKGROUND)
     if content is None:
@@ -104,24 +104,14 @@ def attached_background(path: str | Path) -> NDArray[np.float32] | None:
     return image_from_encoded(content, 1, f"{BACKGROUND} in {path}").astype(np.float32)
 
 
-def _in_mcap(path: Path) -> dict[str, bytes]:
-    found: dict[str, bytes] = {}
-    for record in mcap_records(path):
-        if isinstance(record, PlacedMessage):
-            break
-        if type(record).__name__ == "Attachment" and record.name in ATTACHABLE:
-            found[record.name] = record.data
-    return found
-
-
 @dataclass(frozen=True)
 class RecordStats:
-    """Figures of a recording: frames written, frames missing between them, bytes, seconds from first to last."""
+    """Figures of a recording."""
 
-    frames: int
-    missing: int
-    written_bytes: int
-    duration_s: float
+    frames: int = 0  # written
+    missing: int = 0  # frames between them
+    written_bytes: int = 0
+    duration_s: float = 0.0  # from first to last
 
 
 def new_recording(
@@ -171,7 +161,7 @@ def record_frames(
     seconds, frames : limit of duration by the frames' times, or of their number; None: no limit
     going_on : called after each frame, and four times a second while none arrives
     """
-    stats, after, first_s, began_s = RecordStats(0, 0, 0, 0.0), -1, 0.0, time.monotonic()
+    stats, after, first_s, began_s = RecordStats(), -1, 0.0, time.monotonic()
     limit_s = math.inf if seconds is None else seconds
     while going_on(stats) and (frames is None or stats.frames < frames):
         frame = grabber.following(after, timeout_s=0.25)
@@ -196,8 +186,6 @@ def record_frames(
     return stats
 
 
-# bytes of pictures in one recording: six minutes at 60 frames per second, 320x240 px, as PNG
-MAX_BYTES = 2 * 10**9
 _naming, _named = threading.Lock(), set[Path]()  # paths of this process, some of which are not written yet
 
 
@@ -219,9 +207,7 @@ def new_file(folder: Path, kind: str) -> Path:
 
 
 class Recorder:
-    """One recording in its own thread: an MCAP file, which needs the extra `mcap`.
-
-    `start` starts it.
+    """One recording in its own thread, which `start` starts: an MCAP file, which needs the extra `mcap`.
 
     Parameters
     ----------
@@ -230,13 +216,7 @@ class Recorder:
     calibration, background : in use, or None; they are attached to the recording
     wanted : called at each frame, and four times a second; the recording ends when it returns False
     on_ended : called in the recording's thread once the recording is finished, for whatever reason
-    max_bytes : size of the pictures at which the recording ends
-
-    Attributes
-    ----------
-    path : of the recording
-    stats : RecordStats so far
-    problem : why it ended by itself; "" if it did not
+    max_bytes : size of the pictures at which it ends: 2 GB are six minutes at 60 frames a second, 320x240 px, as PNG
     """
 
     def __init__(
@@ -245,14 +225,14 @@ class Recorder:
         folder: Path,
         *,
         calibration: Calibration | None = None,
-        background: NDArray[np.float32] | None = None,
+        background: Map | None = None,
         wanted: Callable[[], bool] = lambda: True,
         on_ended: Callable[[Recorder], None] = lambda _: None,
-        max_bytes: int = MAX_BYTES,
+        max_bytes: int = 2 * 10**9,
     ) -> None:
         self.path = new_file(folder, "recording")
-        self.stats = RecordStats(0, 0, 0, 0.0)
-        self.problem = ""
+        self.stats = RecordStats()  # so far
+        self.problem = ""  # why it ended by itself
         self._grabber = grabber
         self._wanted, self._on_ended, self._max_bytes = wanted, on_ended, max_bytes
         self._stop = threading.Event()
@@ -303,24 +283,15 @@ def share(
     folder: Path,
     *,
     calibration: Calibration | None,
-    background: NDArray[np.float32] | None = None,
+    background: Map | None = None,
     progress: Progress = no_progress,
 ) -> Path:
     """Write a new MCAP file of a recording, with its calibration attached; return its path.
 
     Frames are kept as the camera compressed them, or as lossless PNG. `gelform live FILE` shows the same on any machine.
+    `background` (H, W, 3) was taken on the page; None: the calibration's own. The file in `folder` is named by the time.
 
-    Parameters
-    ----------
-    recording : any
-    folder : of the file, which is named by the time
-    calibration : in use
-    background : (H, W, 3) taken on the page, or None: the calibration's own
-
-    Raises
-    ------
-    DataError
-        The file cannot be written, a frame is damaged, or the extra `mcap` is missing.
+    DataError: the file cannot be written, a frame is damaged, or the extra `mcap` is missing.
     """
     facts = replace(recording.camera, calibration_digest=_digest_of(calibration), library_version=__version__)
     path = new_file(folder, "shared")

@@ -27,6 +27,9 @@ ADDRESSES = ("http://", "https://")
 class Source(Protocol):
     """Frames in sequence; a context manager.
 
+    A loop over a live source raises SourceLostError if the source disappears or stalls. Each source is looped over once;
+    `open_source` returns a new one.
+
     Attributes
     ----------
     name : for display, such as "GelSight Mini 2BKRXXXX", "simulated three-edges", "press.mp4"
@@ -35,9 +38,6 @@ class Source(Protocol):
     live : True if frames arrive at their own time (a camera, an address, the simulated sensor, a paced replay); False if
         they are read as fast as possible
     rate_hz : nominal frames per second, if known
-
-    A loop over a live source raises SourceLostError if the source disappears or stalls. Each source is looped over once;
-    `open_source` returns a new one.
     """
 
     name: str
@@ -156,37 +156,31 @@ def open_source(
 def _without_settings(
     spec: str | PathLike[str], paced: bool, rate_hz: float | None, timeout_s: float
 ) -> Source | None:
-    """The simulated sensor, an address, or files; None if the spec can only be a USB camera's."""
+    """The simulated sensor, an address, or a film; None if the spec can only be a USB camera's."""
+    if isinstance(spec, str) and spec.startswith(ADDRESSES):
+        return MjpegUrl(spec, timeout_s=timeout_s)
     if isinstance(spec, str) and spec.partition(":")[0] == SIMULATED:
-        return _simulated(spec, rate_hz)
-    if isinstance(spec, str) and "://" in spec and not spec.startswith(ADDRESSES):
+        try:
+            sensor = simulated_sensor_of(spec)
+        except ValueError as problem:
+            raise SensorError(f'{spec!r}: {problem} "simulated" alone is {DEFAULT_SENSOR}.') from problem
+        assert sensor is not None
+        return SimulatedSource(sensor, rate_hz=rate_hz or RATE_HZ)
+    if isinstance(spec, str) and "://" in spec:
         raise SensorError(
             f"Expected an address that begins with {' or '.join(ADDRESSES)} (a camera that sends JPEG pictures), a USB "
             f"camera, a video, a folder or a recording, got {shown_address(spec)}. Record it as a file first, such as with "
             "ffmpeg -i ADDRESS -c copy press.mkv; its compression costs accuracy."
         )
-    if isinstance(spec, str) and spec.startswith(ADDRESSES):
-        return MjpegUrl(spec, timeout_s=timeout_s)
-    return _of_files(check_path(spec, "a source"), paced, rate_hz) if str(spec) else None
-
-
-def _of_files(path: Path, paced: bool, rate_hz: float | None) -> Source | None:
-    """A film; None if the path can only be a camera's name."""
+    if not str(spec):
+        return None
+    path = check_path(spec, "a source")
     if is_film(str(path)) or path.suffix.lower() in FILM_SUFFIXES:
         film = open_film(path, rate_hz=rate_hz)
         return Playback(film, film.camera, paced=paced)
     if path.parent != Path() and not str(path).startswith("/dev/"):
         raise DataError(f"No file or folder {path}. Check the path.")
     return None
-
-
-def _simulated(spec: str, rate_hz: float | None) -> Source:
-    try:
-        sensor = simulated_sensor_of(spec)
-    except ValueError as problem:
-        raise SensorError(f'{spec!r}: {problem} "simulated" alone is {DEFAULT_SENSOR}.') from problem
-    assert sensor is not None
-    return SimulatedSource(sensor, rate_hz=rate_hz or RATE_HZ)
 
 
 def simulated_sensor_of(spec: str) -> SimulatedSensor | None:
