@@ -18,8 +18,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Array
 from gelform.errors import SensorError, SourceLostError
 from gelform.foundations.checks import check_number
 from gelform.image.frame import Frame
@@ -30,29 +30,18 @@ NOTHING_THERE = (
     'No camera is plugged in. Plug one in, look at its cable, or take "simulated", which needs none. A camera of another '
     "machine is reached by its address (http://...)."
 )
-CLASS, BY_PATH = "sys/class/video4linux", "dev/v4l/by-path"
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera as the system lists it.
+    """A camera as the system lists it."""
 
-    Attributes
-    ----------
-    name : the name that the camera reports
-    path : opens the camera: /dev/video0, or its number on systems without paths
-    serial : serial number of the USB device; None if it has none
-    usb_id : vendor and product, such as "0c45:636d"; None if it is not on USB
-    by_path : path named after the USB socket; None if the system has none
-    kind : its row of `SENSORS`; None for a camera of no known sensor
-    """
-
-    name: str
-    path: str
-    serial: str | None = None
-    usb_id: str | None = None
-    by_path: str | None = None
-    kind: str | None = None
+    name: str  # that the camera reports
+    path: str  # opens the camera: /dev/video0, or its number on systems without paths
+    serial: str | None = None  # of the USB device; None if it has none
+    usb_id: str | None = None  # vendor and product, such as "0c45:636d"; None if it is not on USB
+    by_path: str | None = None  # path named after the USB socket; None if the system has none
+    kind: str | None = None  # its row of `SENSORS`; None for a camera of no known sensor
 
     def described(self) -> str:
         """Name, serial and path for a list."""
@@ -61,21 +50,16 @@ class Camera:
 
 
 def chosen_camera(spec: str, cameras: Sequence[Camera]) -> Camera:
-    """Choose one camera.
+    """The one of the connected cameras that `spec` means.
 
-    Parameters
-    ----------
-    spec : a serial number; else a name, a part of one in any case, or a row of `SENSORS` such as "digit"; else a path, also
-        the one by USB socket. Empty: the only camera
-    cameras : the connected cameras
+    A serial number; else a name, a part of one in any case, or a row of `SENSORS` such as "digit"; else a path, also the one
+    by USB socket. Empty: the only camera.
 
-    Raises
-    ------
-    SensorError
-        No camera or several match; the message lists the connected ones.
+    SensorError: no camera or several match; the message lists the connected ones.
     """
+    none = f"No camera {spec!r}, and no file or folder of that name."
     if not cameras:
-        raise SensorError(NOTHING_THERE if not spec else f"{_none_named(spec)} {NOTHING_THERE}")
+        raise SensorError(NOTHING_THERE if not spec else f"{none} {NOTHING_THERE}")
     if not spec:
         return _only(list(cameras), "Several cameras are plugged in", cameras)
     folded = spec.casefold()
@@ -88,13 +72,17 @@ def chosen_camera(spec: str, cameras: Sequence[Camera]) -> Camera:
         if matches:
             return _only(matches, f"Several cameras answer to {spec!r}", cameras)
     said = almost(spec, (camera.serial for camera in cameras))
-    raise SensorError(f"{_none_named(spec)}{said} Plugged in: {listed_cameras(cameras)}.")
+    raise SensorError(f"{none}{said} Plugged in: {listed_cameras(cameras)}.")
 
 
 def almost(word: str, serials: Iterable[str | None]) -> str:
     """A sentence about a serial that differs from a word only in what the eye does not see or takes for equal, or ""."""
+
+    def folded(serial: str) -> str:
+        return unicodedata.normalize("NFKC", serial).casefold().strip()
+
     for serial in serials:
-        if serial and serial != word and _folded(serial) == _folded(word):
+        if serial and serial != word and folded(serial) == folded(word):
             return (
                 f" The serial {serial!a} differs from {word!a} in capitals, or in how its letters are coded, and "
                 "serials are compared letter by letter."
@@ -102,18 +90,9 @@ def almost(word: str, serials: Iterable[str | None]) -> str:
     return ""
 
 
-def _folded(serial: str) -> str:
-    return unicodedata.normalize("NFKC", serial).casefold().strip()
-
-
 def listed_cameras(cameras: Sequence[Camera]) -> str:
     """All cameras, as the end of a sentence."""
     return "; ".join(camera.described() for camera in cameras)
-
-
-def _none_named(spec: str) -> str:
-    """A hint for a name that may be a file's."""
-    return f"No camera {spec!r}, and no file or folder of that name."
 
 
 def _only(matches: list[Camera], several: str, cameras: Sequence[Camera]) -> Camera:
@@ -126,55 +105,37 @@ def _only(matches: list[Camera], several: str, cameras: Sequence[Camera]) -> Cam
 
 
 def cameras_in_sysfs(root: Path = Path("/")) -> list[Camera]:
-    """The cameras of this machine, ordered by number.
-
-    Parameters
-    ----------
-    root : the folder that contains sys and dev
-    """
-    entries = [entry for entry in (root / CLASS).glob("video*") if _text(entry / "index") in ("0", None)]
-    by_path = _links(root)
-    return [_camera(entry, by_path) for entry in sorted(entries, key=_number)]
+    """The cameras of this machine, ordered by number; `root` contains sys and dev."""
+    by_path = root / "dev/v4l/by-path"
+    links = sorted(by_path.iterdir()) if by_path.is_dir() else []
+    sockets = {link.resolve().name: f"/dev/v4l/by-path/{link.name}" for link in reversed(links)}
+    entries = (root / "sys/class/video4linux").glob("video*")
+    first = [entry for entry in entries if _text(entry / "index") in ("0", None)]  # others hold its metadata
+    return [_camera(entry, sockets.get(entry.name)) for entry in sorted(first, key=_number)]
 
 
-def _camera(entry: Path, by_path: dict[str, str]) -> Camera:
-    """The camera of an entry in sysfs and its USB device."""
-    usb = _usb_device(entry)
-    vendor, product = (_text(usb / name) if usb else None for name in ("idVendor", "idProduct"))
-    usb_id = f"{vendor}:{product}" if vendor and product else None
-    name = (_text(usb / "product") if usb else None) or _text(entry / "name") or entry.name
-    return Camera(
-        name=name,
-        path=f"/dev/{entry.name}",
-        serial=(_text(usb / "serial") if usb else None) or None,
-        usb_id=usb_id,
-        by_path=by_path.get(entry.name),
-        kind=kind_of(usb_id),
-    )
+def _number(entry: Path) -> int:
+    digits = re.search(r"\d+$", entry.name)
+    return int(digits.group()) if digits else 0
+
+
+def _camera(entry: Path, socket: str | None) -> Camera:
+    """The camera of an entry in sysfs and of its USB device, the nearest folder above that has idVendor."""
+    device = (entry / "device").resolve()
+    above = (device, *device.parents[:3])
+    usb = next((folder for folder in above if (folder / "idVendor").is_file()), None)
+    told = {
+        name: _text(usb / name) if usb else None for name in ("idVendor", "idProduct", "product", "serial")
+    }
+    usb_id = f"{told['idVendor']}:{told['idProduct']}" if told["idVendor"] and told["idProduct"] else None
+    name = told["product"] or _text(entry / "name") or entry.name
+    return Camera(name, f"/dev/{entry.name}", told["serial"] or None, usb_id, socket, kind_of(usb_id))
 
 
 def kind_of(usb_id: str | None) -> str | None:
     """The known sensor with this USB id."""
     known = (name for name, row in SENSORS.items() if row.camera is not None and row.camera.usb_id == usb_id)
     return next(known, None)
-
-
-def _usb_device(entry: Path) -> Path | None:
-    """The folder of the USB device: the nearest one above the entry's device that has idVendor."""
-    device = (entry / "device").resolve()
-    return next((folder for folder in (device, *device.parents[:3]) if (folder / "idVendor").is_file()), None)
-
-
-def _links(root: Path) -> dict[str, str]:
-    """Map from videoN to its path by USB socket."""
-    folder = root / BY_PATH
-    links = sorted(folder.iterdir()) if folder.is_dir() else []
-    return {link.resolve().name: f"/{BY_PATH}/{link.name}" for link in reversed(links)}
-
-
-def _number(entry: Path) -> int:
-    digits = re.search(r"\d+$", entry.name)
-    return int(digits.group()) if digits else 0
 
 
 def _text(file: Path) -> str | None:
@@ -193,15 +154,13 @@ def cameras_there(root: Path = Path("/")) -> list[Camera]:
     """
     if sys.platform.startswith("linux"):
         return cameras_in_sysfs(root)
-    return [Camera(f"camera {number}", str(number)) for number in range(4) if _opens(number)]
-
-
-def _opens(number: int) -> bool:
-    capture = cv2.VideoCapture(number)
-    try:
-        return bool(capture.isOpened())
-    finally:
+    found = []
+    for number in range(4):
+        capture = cv2.VideoCapture(number)
+        if capture.isOpened():
+            found.append(Camera(f"camera {number}", str(number)))
         capture.release()
+    return found
 
 
 def camera_named(spec: str, cameras: list[Camera] | None = None) -> Camera:
@@ -211,19 +170,13 @@ def camera_named(spec: str, cameras: list[Camera] | None = None) -> Camera:
     if spec.startswith("/dev/") and os.path.exists(path):
         real = str(path.resolve())
         listed = next((camera for camera in there if camera.path == real), None)
-        if listed is None and not _is_video_device(path):
-            raise SensorError(f"{spec} is no camera. Plugged in: {listed_cameras(there) or 'none'}.")
+        if listed is None and sys.platform.startswith("linux"):  # elsewhere, opening it will show what it is
+            status = path.stat()
+            # 81 is the major number of video devices (Documentation/admin-guide/devices.txt of the kernel).
+            if not (stat.S_ISCHR(status.st_mode) and os.major(status.st_rdev) == 81):
+                raise SensorError(f"{spec} is no camera. Plugged in: {listed_cameras(there) or 'none'}.")
         return listed or Camera(spec, real)
     return chosen_camera(spec, there)
-
-
-def _is_video_device(path: Path) -> bool:
-    """Whether the kernel lists the path as a video device. True where the kernel cannot be asked: opening will show it."""
-    if not sys.platform.startswith("linux"):
-        return True
-    status = path.stat()
-    # 81 is the major number of video devices (Documentation/admin-guide/devices.txt of the kernel).
-    return stat.S_ISCHR(status.st_mode) and os.major(status.st_rdev) == 81
 
 
 Settings = Mapping[str, float | str]
@@ -237,8 +190,7 @@ AUTOMATIC = {"auto_exposure": cv2.CAP_PROP_AUTO_EXPOSURE, "auto_white_balance": 
 OFF = {"auto_exposure": 1.0, "auto_white_balance": 0.0}  # 1: V4L2_EXPOSURE_MANUAL
 LED = cv2.CAP_PROP_ZOOM  # of a DIGIT: four bits each for red, green and blue
 LED_OF_LEVEL = 0x111  # one brightness step of all three colors
-MODE = ("width", "height", "fps", "fourcc")
-SETTABLE = (*MODE, *CONTROLS, "led_level")
+SETTABLE = ("width", "height", "fps", "fourcc", *CONTROLS, "led_level")
 COMPARED = ("width", "height", "reduced", "fourcc", *CONTROLS, *AUTOMATIC, "led_level")
 UNKNOWN = -1.0  # OpenCV's value of a control that the camera lacks
 
@@ -260,19 +212,11 @@ def check_settings(settings: Settings) -> dict[str, float | str]:
 
 
 def set_controls(capture: cv2.VideoCapture, settings: Settings, led_levels: int, name: str) -> None:
-    """Set exposure, gain, white balance and LED level, and read each back.
+    """Set exposure, gain, white balance and LED level of an open camera of that name, and read each back.
 
-    Parameters
-    ----------
-    capture : an open camera
-    settings : values by name
-    led_levels : LED steps of the known camera; 0 if its LEDs cannot be set
-    name : the camera's name, for messages
+    `led_levels` are the LED steps of the known camera; 0 if its LEDs cannot be set.
 
-    Raises
-    ------
-    SensorError
-        The camera lacks a control, or reports another value after setting it.
+    SensorError: the camera lacks a control, or reports another value after setting it.
     """
     for setting, (which, automatic) in CONTROLS.items():
         if setting in settings:
@@ -350,9 +294,6 @@ def _same(one: float | str, other: float | str) -> bool:
     return abs(one - other) <= 1e-3 * max(abs(one), abs(other))
 
 
-RULE_FILE = "/etc/udev/rules.d/60-gelform.rules"
-NAMED_PROGRAMS = 4  # programs that an error message names at most
-JPEG = "MJPG"
 SIZE = {  # OpenCV applies a size only when both sides are set
     "width": cv2.CAP_PROP_FRAME_WIDTH,
     "height": cv2.CAP_PROP_FRAME_HEIGHT,
@@ -375,13 +316,25 @@ def check_access(camera: Camera) -> None:
     try:
         os.close(os.open(camera.path, os.O_RDWR | getattr(os, "O_NONBLOCK", 0)))
     except OSError as problem:
-        raise SensorError(f"{camera.described()} {_reason(camera, problem)}") from problem
+        if problem.errno == errno.EBUSY:
+            raise in_use(camera) from problem
+        if problem.errno in (errno.EACCES, errno.EPERM):
+            reason = (
+                "may not be opened: permission denied. Write this line into /etc/udev/rules.d/60-gelform.rules: "
+                f"{udev_rule(camera.usb_id)} Then: sudo udevadm control --reload-rules && sudo udevadm trigger, and plug "
+                "the camera in again; or add yourself to the group video."
+            )
+        elif problem.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
+            reason = "is not there any more: it was unplugged. Plug it in again."
+        else:
+            reason = f"cannot be opened: {problem.strerror}."
+        raise SensorError(f"{camera.described()} {reason}") from problem
 
 
 def in_use(camera: Camera) -> SensorError:
     """The error for a camera that opens but gives no frames, because another program reads them."""
     holders = programs_that_hold(camera.path)
-    holders = holders[:NAMED_PROGRAMS] + ["others"] * (len(holders) > NAMED_PROGRAMS)
+    holders = holders[:4] + ["others"] * (len(holders) > 4)
     who = f"by {', '.join(holders)}" if holders else "by another program"
     return SensorError(
         f"{camera.described()} is in use {who}, or has no picture format that OpenCV reads. Close the other program; one "
@@ -401,20 +354,6 @@ def programs_that_hold(path: str) -> list[str]:
         except OSError:
             continue  # another user's process, or it has ended
     return found
-
-
-def _reason(camera: Camera, problem: OSError) -> str:
-    if problem.errno in (errno.EACCES, errno.EPERM):
-        return (
-            f"may not be opened: permission denied. Write this line into {RULE_FILE}: {udev_rule(camera.usb_id)} "
-            "Then: sudo udevadm control --reload-rules && sudo udevadm trigger, and plug the camera in again; or add "
-            "yourself to the group video."
-        )
-    if problem.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-        return "is not there any more: it was unplugged. Plug it in again."
-    if problem.errno == errno.EBUSY:
-        return str(in_use(camera)).removeprefix(f"{camera.described()} ")
-    return f"cannot be opened: {problem.strerror}."
 
 
 class UsbCamera:
@@ -437,7 +376,7 @@ class UsbCamera:
 
     live = True
 
-    def __init__(self, camera: Camera, settings: Mapping[str, float | str] | None = None) -> None:
+    def __init__(self, camera: Camera, settings: Settings | None = None) -> None:
         wanted = check_settings(settings or {})
         if sys.platform.startswith("linux"):
             check_access(camera)
@@ -452,7 +391,7 @@ class UsbCamera:
             undone.callback(self._capture.release)
             _set_mode(self._capture, wanted, known, camera.name)
             set_controls(self._capture, wanted, self._led_levels, camera.name)
-            self.settings = self._read_back(known)
+            self.settings = self._read_back()
             undone.pop_all()  # everything is set; the camera stays open
         rate = self._capture.get(cv2.CAP_PROP_FPS)
         self.rate_hz: float | None = float(rate) if rate > 0 else None
@@ -476,7 +415,7 @@ class UsbCamera:
             if frame is not None:
                 yield frame
 
-    def set_controls(self, settings: Mapping[str, float | str]) -> dict[str, float | str]:
+    def set_controls(self, settings: Settings) -> dict[str, float | str]:
         """Set exposure, gain, white_balance or led_level between two frames; return all settings as read back.
 
         SensorError: the camera lacks a control, reports another value after setting it, or is closed.
@@ -503,9 +442,7 @@ class UsbCamera:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _frame(
-        self, pixels: NDArray[Any] | None, time_s: float, wall_time_ns: int, index: int
-    ) -> Frame | None:
+    def _frame(self, pixels: Array | None, time_s: float, wall_time_ns: int, index: int) -> Frame | None:
         """The RGB image, decoded if it is a JPEG; None if it is torn."""
         if pixels is None or pixels.size == 0:
             return None
@@ -521,12 +458,12 @@ class UsbCamera:
         stamp = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000
         return stamp if 0 <= now - stamp < 5 else now
 
-    def _read_back(self, known: KnownCamera | None) -> dict[str, float | str]:
+    def _read_back(self) -> dict[str, float | str]:
         """The camera's current settings, once the way of decoding is chosen."""
         capture = self._capture
         shape = int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)), int(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
         fourcc = fourcc_text(capture.get(cv2.CAP_PROP_FOURCC))
-        self._reduction = reduction_of(shape) if fourcc == JPEG else 1
+        self._reduction = reduction_of(shape) if fourcc == "MJPG" else 1
         self._undecoded = self._reduction > 1 and bool(capture.set(cv2.CAP_PROP_CONVERT_RGB, 0))
         self._reduction = self._reduction if self._undecoded else 1
         facts: dict[str, float | str] = {"width": shape[1], "height": shape[0], "fourcc": fourcc}
@@ -550,9 +487,7 @@ def _opened(camera: Camera) -> cv2.VideoCapture:
     return capture
 
 
-def _set_mode(
-    capture: cv2.VideoCapture, wanted: Mapping[str, float | str], known: KnownCamera | None, name: str
-) -> None:
+def _set_mode(capture: cv2.VideoCapture, wanted: Settings, known: KnownCamera | None, name: str) -> None:
     """Set picture format, size and rate: the given ones, else the usual ones of a known camera."""
     mode: dict[str, float | str] = {}
     if known is not None:
