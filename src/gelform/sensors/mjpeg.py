@@ -21,9 +21,7 @@ from gelform.sensors.pictures import MAX_TORN, image_from_jpeg, jpeg_shape, redu
 
 OPEN_S = 2.0  # s, timeout for the connection and the first picture
 STALL_S = 1.0  # s without data until the camera counts as lost
-PICTURE_S = (
-    5.0  # s without a whole picture, whatever else arrives: a large one over a slow network takes three
-)
+PICTURE_S = 5.0  # s without a whole picture, whatever else arrives: a large one over a slow network takes 3
 RECEIVE_BYTES, MAX_WAITING_BYTES = 2**20, 2**23  # bytes of one call; bytes read at once at most
 MAX_SIZE_LINE = 1024  # bytes of the line with the size of a chunk
 MAX_PART_BYTES, MAX_PART_HEADER_BYTES = 2**26, 2**14  # limits of a picture and its header
@@ -44,21 +42,13 @@ def shown_address(spec: str) -> str:
 
 
 class MjpegUrl:
-    """The frames of an MJPEG address.
+    """The frames of an MJPEG address, http:// or https://.
 
     If several pictures have arrived, the last one is decoded and the others count as dropped. A torn picture (without its
     end, or not decodable) is skipped and leaves a gap in the count too. Large pictures are decoded at reduced size (see
     `reduction_of`). `time_s` is the arrival time of the picture.
 
-    Parameters
-    ----------
-    url : http:// or https://
-    timeout_s : timeout of the connection, s
-
-    Raises
-    ------
-    SensorError
-        The host does not answer, the answer is no stream of pictures, or no picture arrives within 2 s.
+    SensorError: the host does not answer, the answer is no stream of pictures, or no picture arrives within 2 s.
     """
 
     live = True
@@ -126,14 +116,11 @@ class MjpegUrl:
     def _settings_of_first(self) -> dict[str, float | str]:
         """Wait for the first picture; return its size and reduction."""
         until = time.monotonic() + OPEN_S
-        while True:
-            shape = next((shape for part in self._arrived if (shape := jpeg_shape(part))), None)
-            if shape is not None:
-                return {"width": shape[1], "height": shape[0], "reduced": reduction_of(shape)}
+        while (shape := next(filter(None, map(jpeg_shape, self._arrived)), None)) is None:
             if (left := until - time.monotonic()) <= 0:
-                break
+                raise SensorError(f"{self.url} answers, but sent no JPEG picture within {OPEN_S:g} s.")
             self._arrived = self._read(left)
-        raise SensorError(f"{self.url} answers, but sent no JPEG picture within {OPEN_S:g} s.")
+        return {"width": shape[1], "height": shape[0], "reduced": reduction_of(shape)}
 
     def _read(self, timeout_s: float) -> list[bytes]:
         data = self._body.read(timeout_s)
@@ -151,24 +138,21 @@ class MjpegUrl:
 class HttpBody:
     """The body of a GET request whose answer never ends, as it arrives.
 
-    Parameters
-    ----------
-    url : http:// or https://, with user:password@ if the camera requires them
-    timeout_s : timeout of the connection and of the answer's header, s
+    The address has user:password@ if the camera requires them. The connection and the answer's header have a timeout, s.
 
-    Raises
-    ------
-    SensorError
-        The host does not answer, or the status is not 200.
+    SensorError: the host does not answer, or the status is not 200.
     """
 
     def __init__(self, url: str, timeout_s: float) -> None:
         self.url = shown_address(url)
         try:
             place = urlsplit(url)
+            port = place.port or (443 if place.scheme == "https" else 80)
         except ValueError:
-            raise SensorError(f"Expected an address like http://host:8080/stream, got {self.url}.") from None
-        self._socket = _connected(place, self.url, timeout_s)
+            place, port = urlsplit(""), 0
+        if not place.hostname:
+            raise SensorError(f"Expected an address like http://host:8080/stream, got {self.url}.")
+        self._socket = _connected(place, port, timeout_s)
         with ExitStack() as undone:
             undone.callback(self._socket.close)
             # A header that arrives byte by byte never reaches the timeout of a byte.
@@ -191,10 +175,7 @@ class HttpBody:
     def read(self, timeout_s: float) -> bytes:
         """Wait for data and return all bytes available; empty at the end of the body.
 
-        Raises
-        ------
-        SourceLostError
-            The connection is lost, or no content arrived for `timeout_s`.
+        SourceLostError: the connection is lost, or no content arrived for `timeout_s`.
         """
         until = time.monotonic() + timeout_s
         while self._dechunk is None or not self._dechunk.ended:
@@ -212,8 +193,10 @@ class HttpBody:
         try:
             self._socket.settimeout(timeout_s)
             received = bytearray(self._response.read1(RECEIVE_BYTES))
-            while received and len(received) < MAX_WAITING_BYTES and self._is_ready():
-                more = self._response.read1(RECEIVE_BYTES)
+            while received and len(received) < MAX_WAITING_BYTES:
+                decrypted = isinstance(self._socket, ssl.SSLSocket) and self._socket.pending()
+                is_ready = decrypted or select.select([self._socket], [], [], 0)[0]
+                more = self._response.read1(RECEIVE_BYTES) if is_ready else b""
                 if not more:
                     break
                 received += more
@@ -228,11 +211,6 @@ class HttpBody:
         _shut(self._socket)
         self._socket.close()
         self._response.close()  # it also holds the socket
-
-    def _is_ready(self) -> bool:
-        if isinstance(self._socket, ssl.SSLSocket) and self._socket.pending():
-            return True
-        return bool(select.select([self._socket], [], [], 0)[0])
 
 
 def _shut(connected: socket.socket) -> None:
@@ -282,13 +260,7 @@ class Dechunker:
         return not self.ended
 
 
-def _connected(place: SplitResult, url: str, timeout_s: float) -> socket.socket:
-    try:
-        port = place.port or (443 if place.scheme == "https" else 80)
-    except ValueError as problem:
-        raise SensorError(f"Expected an address like http://host:8080/stream, got {url}.") from problem
-    if not place.hostname:
-        raise SensorError(f"Expected an address like http://host:8080/stream, got {url}.")
+def _connected(place: SplitResult, port: int, timeout_s: float) -> socket.socket:
     try:
         plain = socket.create_connection((place.hostname, port), timeout_s)
         if plain.getsockname() == plain.getpeername():  # TCP may connect a local port to itself:
@@ -324,15 +296,16 @@ def _answer_to(place: SplitResult, connected: socket.socket, url: str) -> HTTPRe
         raise SensorError(f"{url} does not answer: {_said(problem)}.") from problem
     if response.status != 200:
         response.close()
-        raise SensorError(f"{url} answers {response.status} {response.reason}.{_remedy(response)}")
+        moved, remedy = (
+            shown_address(response.headers.get("Location") or ""),
+            "Check the path of the address.",
+        )
+        if response.status == 401:
+            remedy = "Put the camera's user and password before the host: http://user:password@host/..."
+        elif moved:
+            remedy = f"It has moved to {moved}: give that address."
+        raise SensorError(f"{url} answers {response.status} {response.reason}. {remedy}")
     return response
-
-
-def _remedy(response: HTTPResponse) -> str:
-    if response.status == 401:
-        return " Put the camera's user and password before the host: http://user:password@host/..."
-    moved = shown_address(response.headers.get("Location") or "")
-    return f" It has moved to {moved}: give that address." if moved else " Check the path of the address."
 
 
 def _said(problem: BaseException) -> str:
@@ -346,11 +319,7 @@ class PartSplitter:
 
     A part ends where its Content-Length says, or at a boundary before that, because some servers state lengths that are too
     large. Without a length it ends at the next boundary. A part without a boundary after it is returned too; bytes up to the
-    next boundary are skipped.
-
-    Parameters
-    ----------
-    boundary : from the stream's content type; servers differ in the dashes before it
+    next boundary are skipped. The boundary is that of the stream's content type; servers differ in the dashes before it.
     """
 
     def __init__(self, boundary: str) -> None:
@@ -395,15 +364,11 @@ class PartSplitter:
         stated = _LENGTH.search(self._bytes, start, head_end)
         whole = len(self._bytes) if stated is None else body + int(stated.group(1))
         after = self._after.search(self._bytes, max(body, self._searched), whole)
-        if after is not None:
-            return self._cut(body, after.start())
-        if stated is not None and len(self._bytes) >= whole:
-            return self._cut(body, whole)
+        if after is not None or (stated is not None and len(self._bytes) >= whole):
+            end = whole if after is None else after.start()
+            part = bytes(memoryview(self._bytes)[body:end])
+            del self._bytes[:end]
+            self._searched = 0
+            return part
         self._searched = max(body, len(self._bytes) - len(self._boundary) - MAX_DASHES)
         return None
-
-    def _cut(self, start: int, end: int) -> bytes:
-        part = bytes(memoryview(self._bytes)[start:end])
-        del self._bytes[:end]
-        self._searched = 0
-        return part
