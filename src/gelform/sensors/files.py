@@ -14,8 +14,8 @@ from typing import Any, cast
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Array, Image
 from gelform.errors import DataError, GelformError
 from gelform.foundations.checks import (
     check_gel_thickness,
@@ -76,31 +76,11 @@ def is_video(path: str | Path) -> bool:
     return Path(path).suffix.lower() in VIDEO_SUFFIXES
 
 
-PNG_KIND, PNG_PALETTE = (
-    25,
-    3,
-)  # place of the kind of color in a PNG, and the kind of a palette (PNG specification, IHDR)
 # Words in names of images of the gel at rest, as people call them.
-AT_REST = frozenset(
-    {
-        "ambient",
-        "background",
-        "base",
-        "baseline",
-        "bg",
-        "blank",
-        "bkg",
-        "empty",
-        "f0",
-        "flat",
-        "frame0",
-        "init",
-    }
-    | {"initial", "nocontact", "notouch", "rest", "ref", "reference", "undeformed", "untouched", "zero"}
+AT_REST = re.compile(
+    "ambient|background|base|baseline|bg|blank|bkg|empty|f0|flat|frame0|init|initial|nocontact|notouch|rest|ref|reference|"
+    "undeformed|untouched|zero"
 )
-STACK_READERS = "gelform reconstruct, batch or live"
-# Bytes that a picture's file needs at most: of a pixel with transparency, not compressed, and of all else in it.
-BYTES_PER_PIXEL, OTHER_BYTES = 4, 2**26
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 
 
@@ -148,7 +128,7 @@ class SensorSettings:
         return view.of_frames(frame_shape).squared(self.mm_per_px)
 
 
-def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS, bgr: bool = False) -> NDArray[np.uint8]:
+def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS, bgr: bool = False) -> Image:
     """Read an image file as RGB.
 
     Parameters
@@ -171,14 +151,17 @@ def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS, bgr: bool =
     if bgr:
         return rgb_from_bgr(read_image(path, most_pixels=most_pixels))
     if is_stack(path):
-        raise DataError(f"{path} holds several images. Give it to {STACK_READERS}, which read all of them.")
+        raise DataError(
+            f"{path} holds several images. Give it to gelform reconstruct, batch or live, which read all of them."
+        )
     if is_npy(path):
         return image_of_npy(npy_values(path, most_pixels), str(path))
     return _image_in(_picture_bytes(path, most_pixels), path, most_pixels)
 
 
 def _picture_bytes(path: Path, most_pixels: float) -> bytes:
-    return bytes_of(path, "an image", BYTES_PER_PIXEL * most_pixels + OTHER_BYTES)
+    """The bytes of a file with at most 4 of a pixel, with transparency and not compressed, and 64 MB of all else."""
+    return bytes_of(path, "an image", 4 * most_pixels + 2**26)
 
 
 def is_stack(path: Path) -> bool:
@@ -194,9 +177,7 @@ def is_stack(path: Path) -> bool:
         return False  # reading it says why
 
 
-def images_of_stack(
-    path: Path, most_pixels: float = MAX_PIXELS
-) -> tuple[Callable[[int], NDArray[np.uint8]], int]:
+def images_of_stack(path: Path, most_pixels: float = MAX_PIXELS) -> tuple[Callable[[int], Image], int]:
     """(number -> image, for one thread at a time, and number of images) of a file as in `is_stack`.
 
     Errors as in `read_image`.
@@ -208,14 +189,14 @@ def images_of_stack(
     pages = tiff_pages(BytesIO(content))
     begun = bytearray(content)  # changed in place: a copy of a large file takes longer than decoding a page
 
-    def image(number: int) -> NDArray[np.uint8]:
+    def image(number: int) -> Image:
         begin_tiff_at(begun, pages[number])
         return _image_in(cast("bytes", begun), path, most_pixels)
 
     return image, len(pages)
 
 
-def _images_in(path: Path) -> Iterator[NDArray[Any]]:
+def _images_in(path: Path) -> Iterator[Array]:
     """The image of a file, or all of them; a `.npy` of the gel at rest may hold an average, in floats."""
     if is_stack(path):
         image, count = images_of_stack(path)
@@ -231,7 +212,7 @@ def _images_in(path: Path) -> Iterator[NDArray[Any]]:
         yield read_image(path)
 
 
-def _image_in(content: bytes, path: Path, most_pixels: float) -> NDArray[np.uint8]:
+def _image_in(content: bytes, path: Path, most_pixels: float) -> Image:
     try:
         check_declared(content, most_pixels)
     except ValueError as problem:
@@ -257,7 +238,7 @@ def _image_in(content: bytes, path: Path, most_pixels: float) -> NDArray[np.uint
             f"Expected an image of three channels, got {pixels.shape[2]} (an alpha channel?): {path}. "
             "Save it without transparency."
         )
-    if content.startswith(PNG) and content[PNG_KIND] == PNG_PALETTE:
+    if content.startswith(PNG) and content[25] == 3:  # the kind of color: a palette (PNG specification, IHDR)
         raise DataError(
             f"Expected 8 bits for each of red, green and blue, got a palette of up to 256 colors: {path}. Slopes are read "
             "from small differences of color, which a palette rounds away. Save the camera's frames in full color."
@@ -304,6 +285,9 @@ def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
     for table in ("view", "measured", "camera"):
         if not isinstance(settings.get(table, {}), dict):
             raise ValueError(f"Expected a table [{table}], got {settings[table]!r}.")
+    for key, value in settings.get("camera", {}).items():
+        if isinstance(value, bool) or not isinstance(value, (int, float, str)) or value != value:
+            raise ValueError(f"Expected {key} of [camera] as a number or a text, got {value!r}.")
     sigma, thickness = settings.get("mm_per_px_sigma"), settings.get("gel_thickness_mm")
     return SensorSettings(
         **texts,
@@ -313,16 +297,8 @@ def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
         response=check_within(settings.get("response", 1.0), "response", 0.05, 20),
         view=View.from_dict(settings.get("view", {})),
         measured=_measured(settings.get("measured", {})),
-        camera=_camera(settings.get("camera", {})),
+        camera=settings.get("camera", {}),
     )
-
-
-def _camera(table: dict[str, Any]) -> dict[str, float | str]:
-    """The table `[camera]`: numbers and texts by name."""
-    for key, value in table.items():
-        if isinstance(value, bool) or not isinstance(value, (int, float, str)) or value != value:
-            raise ValueError(f"Expected {key} of [camera] as a number or a text, got {value!r}.")
-    return dict(table)
 
 
 def _measured(table: dict[str, Any]) -> dict[str, Any]:
@@ -334,20 +310,16 @@ def _measured(table: dict[str, Any]) -> dict[str, Any]:
     for key, value in table.items():
         if not isinstance(value, known[key]):
             raise ValueError(f"Expected {key} of [measured] as {known[key].__name__}, got {value!r}.")
-        if known[key] is list and not _is_matrix(value):
+        try:
+            numbers = np.zeros((3, 3)) if known[key] is str else np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError):
+            numbers = np.empty(0)
+        if numbers.shape != (3, 3) or not np.isfinite(numbers).all():
             raise ValueError(f"Expected {key} of [measured] as 3x3 numbers, got {value!r}.")
-    return dict(table)
+    return table
 
 
-def _is_matrix(value: Any) -> bool:
-    try:
-        numbers = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        return False
-    return numbers.shape == (3, 3) and bool(np.isfinite(numbers).all())
-
-
-def _usual_pixels(content: bytes, path: Path) -> NDArray[np.uint8] | None:
+def _usual_pixels(content: bytes, path: Path) -> Image | None:
     """RGB pixels of a PNG or a JPEG of the usual kind; None for others, which OpenCV decodes."""
     try:
         if content.startswith(PNG):
@@ -359,7 +331,7 @@ def _usual_pixels(content: bytes, path: Path) -> NDArray[np.uint8] | None:
         ) from None
 
 
-def _decoded(content: bytes, path: Path) -> NDArray[Any]:
+def _decoded(content: bytes, path: Path) -> Array:
     """Pixels in OpenCV's order (BGR). Python reads the bytes, so that names outside ASCII work on every system."""
     if not content:
         raise DataError(f"{path} is empty. Copy or record it again.")
@@ -395,7 +367,7 @@ def _opencv_silent() -> Iterator[None]:
         logging.setLogLevel(level)
 
 
-def read_background(paths: str | Path | Sequence[str | Path], *, bgr: bool = False) -> NDArray[Any]:
+def read_background(paths: str | Path | Sequence[str | Path], *, bgr: bool = False) -> Array:
     """The background image (H, W, 3), RGB: uint8 from one file, float32 as the robust average of several.
 
     Parameters
@@ -422,7 +394,7 @@ def averaged_background(paths: str | Path | Sequence[str | Path]) -> Background:
     files = background_files(paths)
     names: list[str] = []
 
-    def images() -> Iterator[NDArray[Any]]:
+    def images() -> Iterator[Array]:
         for file in files:
             several = is_stack(file)
             for number, image in enumerate(_images_in(file)):
@@ -437,11 +409,8 @@ def averaged_background(paths: str | Path | Sequence[str | Path]) -> Background:
 
 def background_in(folder: Path, stem: str = "background") -> Path:
     """The image with that stem in a folder, or a folder of that name with several images."""
-    found = sorted(
-        p
-        for p in folder.glob(f"{stem}*")
-        if p.stem == stem and (p.suffix.lower() in IMAGE_SUFFIXES or is_npy(p) or p.is_dir())
-    )
+    named = (p for p in folder.glob(f"{stem}*") if p.stem == stem)
+    found = sorted(p for p in named if p.suffix.lower() in IMAGE_SUFFIXES or is_npy(p) or p.is_dir())
     if not found:
         raise DataError(
             f"No background in {folder}: expected {stem}.png, an image of the gel at rest. "
@@ -464,7 +433,7 @@ def is_likely_background(path: Path) -> bool:
     """Whether a file or a folder is of the gel at rest, by its name."""
     words = re.split(r"[^a-z0-9]+", path.stem.lower())
     is_images = path.suffix.lower() in (*IMAGE_SUFFIXES, ".npy") or path.is_dir()
-    return is_images and not AT_REST.isdisjoint((*words, "".join(words)))
+    return is_images and any(map(AT_REST.fullmatch, (*words, "".join(words))))
 
 
 def background_files(paths: str | Path | Sequence[str | Path]) -> list[Path]:
@@ -474,11 +443,9 @@ def background_files(paths: str | Path | Sequence[str | Path]) -> list[Path]:
     given = [paths] if isinstance(paths, (str, PathLike)) else list(paths)
     files: list[Path] = []
     for path in map(check_path, given):
-        inside = (
-            sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES)
-            if path.is_dir()
-            else [path]
-        )
+        inside = [path]
+        if path.is_dir():
+            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES)
         if not inside:
             raise DataError(f"Expected images of the gel at rest in the folder {path}, got none.")
         files += inside

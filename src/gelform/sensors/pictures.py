@@ -14,22 +14,20 @@ from typing import Any, BinaryIO
 import cv2
 import numpy as np
 import simplejpeg
-from numpy.typing import NDArray
 
 from gelform._native import Kernel
+from gelform.arrays import Array, Image
 from gelform.errors import DataError, said
 from gelform.image.view import MAX_PIXELS
 
 JPEG = b"\xff\xd8\xff"
-_START, _END = b"\xff\xd8", b"\xff\xd9"
 # Bytes. For larger pictures only start and end are checked: drivers of cameras with megapixels leave stray bytes in them.
 MAX_STRICT_BYTES = 100_000  # a 640x480 px picture of good quality
 MAX_TORN = 10  # torn pictures in a row after which the camera is reopened
 LEAST_SHAPE = (480, 640)  # px, smallest reduced frame: twice the size of the image that is reconstructed
-_REDUCTIONS = (1, 2, 4, 8)  # factors that a JPEG decoder offers
 
 
-def pixels_of_jpeg(content: bytes, reduction: int = 1, *, strict: bool = True) -> NDArray[np.uint8]:
+def pixels_of_jpeg(content: bytes, reduction: int = 1, *, strict: bool = True) -> Image:
     """The pixels (H, W, 3) uint8 RGB of a picture, each side divided by `reduction`, ignoring an orientation tag.
 
     With `strict`, every code must be readable and the codes must end where the bytes do; data after the end marker is
@@ -65,14 +63,14 @@ def reduction_of(shape: tuple[int, int]) -> int:
     It is the largest one that leaves 480x640 px. Decoding an image of 8 megapixels to 612x816 takes a third of the time, and
     a sensor's image is no larger. It depends on the frame size alone, so that calibration and use agree.
     """
-    fits = [n for n in _REDUCTIONS if shape[0] // n >= LEAST_SHAPE[0] and shape[1] // n >= LEAST_SHAPE[1]]
+    fits = [n for n in (1, 2, 4, 8) if shape[0] // n >= LEAST_SHAPE[0] and shape[1] // n >= LEAST_SHAPE[1]]
     return max(fits, default=1)
 
 
-def image_from_jpeg(content: bytes, reduction: int = 1) -> NDArray[np.uint8] | None:
+def image_from_jpeg(content: bytes, reduction: int = 1) -> Image | None:
     """The pixels of a camera's picture (see `pixels_of_jpeg`); None if it is torn. Cameras may pad pictures with zeros."""
     strict = len(content) <= MAX_STRICT_BYTES
-    if not strict and not (content.startswith(_START) and content.rstrip(b"\0").endswith(_END)):
+    if not strict and not (content.startswith(b"\xff\xd8") and content.rstrip(b"\0").endswith(b"\xff\xd9")):
         return None
     try:
         return pixels_of_jpeg(content, reduction, strict=strict)
@@ -83,11 +81,10 @@ def image_from_jpeg(content: bytes, reduction: int = 1) -> NDArray[np.uint8] | N
 # The extra `png`: Intel's ISA-L decompresses to the same bytes in a quarter of the time.
 inflate: Any = import_module("isal.isal_zlib") if find_spec("isal") else zlib
 PNG = b"\x89PNG\r\n\x1a\n"
-USUAL = (8, 2, 0, 0, 0)  # bits, RGB, compression, filters, no interlace
 _png_rows = Kernel("png_rows", "u8[h,r] rows, u8[n] zeros, out u8[h,n] pixels")
 
 
-def pixels_of_png(content: bytes) -> NDArray[np.uint8] | None:
+def pixels_of_png(content: bytes) -> Image | None:
     """RGB pixels (H, W, 3) of a PNG of 8-bit RGB without interlace and transparency; None for any other kind.
 
     Every chunk must match its checksum, up to the last one (PNG specification, section 5.3), and so must the compressed
@@ -102,7 +99,8 @@ def pixels_of_png(content: bytes) -> NDArray[np.uint8] | None:
     width, height = struct.unpack(">II", header[:8])
     if not 0 < width * height <= MAX_PIXELS:
         raise ValueError(f"its header states {height}x{width} px")
-    if tuple(header[8:]) != USUAL or any(kind in (b"PLTE", b"tRNS") for kind, _ in chunks):
+    usual = bytes((8, 2, 0, 0, 0))  # bits, RGB, compression, filters, no interlace
+    if header[8:] != usual or any(kind in (b"PLTE", b"tRNS") for kind, _ in chunks):
         return None
     size, stream = height * (3 * width + 1), inflate.decompressobj()
     try:
@@ -133,7 +131,6 @@ def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
 
 MAX_PAGES = 10**6  # of a TIFF; 11 hours at 25 per second
 _PPM = re.compile(rb"P[36](?:\s+|#[^\n]*\n)+(\d{1,9})(?:\s+|#[^\n]*\n)+(\d{1,9})\s")
-_TIFF_WIDTH, _TIFF_HEIGHT = 256, 257  # tags of the first directory (TIFF 6.0, section 8)
 
 
 def check_declared(content: bytes, most_pixels: float = MAX_PIXELS) -> None:
@@ -167,31 +164,28 @@ def declared_shape(content: bytes) -> tuple[int, int] | None:
     if content.startswith((b"II*\0", b"MM\0*")):
         return _of_tiff(content, "<" if content.startswith(b"II") else ">")
     if content[:4] == b"RIFF" and content[8:12] == b"WEBP":
-        return _of_webp(content)
+        # One of three kinds: lossy, lossless, extended (WebP container specification).
+        if content[12:16] == b"VP8 ":
+            width, height = struct.unpack_from("<HH", content, 26)
+            return height & 0x3FFF, width & 0x3FFF
+        if content[12:16] == b"VP8L":
+            (bits,) = struct.unpack_from("<I", content, 21)
+            return (bits >> 14 & 0x3FFF) + 1, (bits & 0x3FFF) + 1
+        return int.from_bytes(content[27:30], "little") + 1, int.from_bytes(content[24:27], "little") + 1
     found = _PPM.match(content[:4096])
     return None if found is None else (int(found.group(2)), int(found.group(1)))
 
 
 def _of_tiff(content: bytes, order: str) -> tuple[int, int]:
+    """(H, W) from the tags 257 and 256 of the first directory (TIFF 6.0, section 8)."""
     (start,) = struct.unpack_from(f"{order}I", content, 4)
     (count,) = struct.unpack_from(f"{order}H", content, start)
-    sizes = {}
+    sizes = {257: 0, 256: 0}
     for at in range(start + 2, start + 2 + 12 * count, 12):
         tag, kind = struct.unpack_from(f"{order}HH", content, at)
-        if tag in (_TIFF_WIDTH, _TIFF_HEIGHT):
+        if tag in sizes:
             (sizes[tag],) = struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", content, at + 8)
-    return sizes.get(_TIFF_HEIGHT, 0), sizes.get(_TIFF_WIDTH, 0)
-
-
-def _of_webp(content: bytes) -> tuple[int, int]:
-    """(H, W) of the three kinds: lossy, lossless, extended (WebP container specification)."""
-    if content[12:16] == b"VP8 ":
-        width, height = struct.unpack_from("<HH", content, 26)
-        return height & 0x3FFF, width & 0x3FFF
-    if content[12:16] == b"VP8L":
-        (bits,) = struct.unpack_from("<I", content, 21)
-        return (bits >> 14 & 0x3FFF) + 1, (bits & 0x3FFF) + 1
-    return int.from_bytes(content[27:30], "little") + 1, int.from_bytes(content[24:27], "little") + 1
+    return sizes[257], sizes[256]
 
 
 def tiff_pages(file: BinaryIO, most: int = MAX_PAGES) -> tuple[int, ...]:
@@ -223,10 +217,7 @@ def begin_tiff_at(content: bytearray, place: int) -> None:
     struct.pack_into(f"{order}{'Q' if big else 'I'}", content, 8 if big else 4, place)
 
 
-SAME_LEVEL = 0.13  # gray levels by which a level over 255 is off in float16
-
-
-def image_from_values(values: NDArray[Any] | DataError, most_pixels: float = MAX_PIXELS) -> NDArray[np.uint8]:
+def image_from_values(values: Array | DataError, most_pixels: float = MAX_PIXELS) -> Image:
     """An RGB image (H, W, 3) uint8 from a dataset's values for one frame; DataError if they are no image.
 
     The values are (H, W, 3) or (3, H, W): uint8, whole numbers 0-255 as floats, or 0-1 as floats of such levels. Or (L,)
@@ -254,7 +245,8 @@ def image_from_values(values: NDArray[Any] | DataError, most_pixels: float = MAX
     if np.array_equal(whole, values):
         return whole
     levels = np.rint(255 * values.astype(np.float64))
-    if values.min() >= 0 and values.max() <= 1 and np.abs(levels - 255.0 * values).max() <= SAME_LEVEL:
+    # In float16 a level over 255 is off by 0.13 gray levels at most.
+    if values.min() >= 0 and values.max() <= 1 and np.abs(levels - 255.0 * values).max() <= 0.13:
         return levels.astype(np.uint8)
     raise DataError(
         f"Expected whole numbers from 0 to 255, or such levels over 255, got {values.dtype} "
@@ -267,7 +259,7 @@ def is_npy(path: Path) -> bool:
     return path.suffix.lower() == ".npy"
 
 
-def npy_values(path: Path, most_pixels: float = MAX_PIXELS) -> NDArray[Any]:
+def npy_values(path: Path, most_pixels: float = MAX_PIXELS) -> Array:
     """The array (H, W, 3) or (N, H, W, 3) of a `.npy` file, read from the disk where it is used; nothing is unpickled.
 
     DataError: it is missing, damaged, of another shape, or of larger frames.
@@ -289,7 +281,7 @@ def npy_values(path: Path, most_pixels: float = MAX_PIXELS) -> NDArray[Any]:
     return values
 
 
-def image_of_npy(values: NDArray[Any], where: str) -> NDArray[np.uint8]:
+def image_of_npy(values: Array, where: str) -> Image:
     """An image (H, W, 3) uint8 from an array's values; DataError, naming `where`, if they are none."""
     try:
         return np.ascontiguousarray(image_from_values(np.asarray(values)))

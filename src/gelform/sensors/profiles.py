@@ -25,41 +25,28 @@ SAME_SCALE = 0.1  # |logarithm| of mm_per_px over the make's: units of a make di
 
 @dataclass(frozen=True)
 class SensorProfile:
-    """The geometry of a make of sensor, and the order of its lights.
+    """The geometry of a make of sensor, and the order of its lights."""
 
-    Attributes
-    ----------
-    name : the usual name; names of single sensors start with it
-    image_shape : (H, W) of its images after the view
-    border : fraction of the frame that is cropped on each of the four sides
-    mm_per_px : mm per image pixel
-    mm_per_px_sigma : its standard deviation, mm: variation between units and uncertainty of the source
-    verified : whether the scale was checked by an independent measurement
-    source : origin of these figures
-    light_order : "clockwise" or "counter-clockwise": the order of red, green and blue light around the gel in the image,
-        measured on one unit. Turning the camera keeps it; swapping channels or mirroring the image reverses it.
-    gel_thickness_mm : thickness of its gel at rest, the upper limit of depth; None if no source states it
-    """
-
-    name: str
-    image_shape: tuple[int, int]
-    border: float
-    mm_per_px: float
-    mm_per_px_sigma: float
-    verified: bool
-    source: str
+    name: str  # the usual one; names of single sensors start with it
+    image_shape: tuple[int, int]  # (H, W) of its images after the view
+    border: float  # fraction of the frame that is cropped on each of the four sides
+    mm_per_px: float  # of images
+    mm_per_px_sigma: float  # its standard deviation: variation between units and uncertainty of the source
+    verified: bool  # whether the scale was checked by an independent measurement
+    source: str  # origin of these figures
+    # "clockwise" or "counter-clockwise": the order of red, green and blue light around the gel in the image, measured on one
+    # unit. Turning the camera keeps it; swapping channels or mirroring the image reverses it.
     light_order: str
-    gel_thickness_mm: float | None = None
+    gel_thickness_mm: float | None = (
+        None  # of its gel at rest, the upper limit of depth; None if no source states it
+    )
 
     def view(self, frame_shape: tuple[int, int]) -> View:
         """The view of frames (H, W) of this sensor, upright or turned by 90 degrees.
 
         A frame that already has the image's size counts as an image and is not cropped.
 
-        Raises
-        ------
-        SensorError
-            The cropped frame has another aspect ratio than the image: its pixels would not be square.
+        SensorError: the cropped frame has another aspect ratio than the image, whose pixels would not be square.
         """
         from gelform.image.view import View
 
@@ -103,23 +90,16 @@ class SensorProfile:
 
 @dataclass(frozen=True)
 class KnownCamera:
-    """The camera of a make of sensor.
+    """The camera of a make of sensor."""
 
-    Attributes
-    ----------
-    usb_id : vendor and product
-    frame_shape, rate_hz : (height, width) and frames per second of its usual mode
-    fourcc : the picture format to request
-    led_levels : LED brightness steps above 0, set through the zoom control; 0 if the LEDs cannot be set
-    turn : rotation that makes its frames upright, as in a view
-    """
-
-    usb_id: str
-    frame_shape: tuple[int, int]
-    rate_hz: float
-    fourcc: str
-    led_levels: int = 0
-    turn: str = "none"
+    usb_id: str  # vendor and product
+    frame_shape: tuple[int, int]  # (height, width) of its usual mode
+    rate_hz: float  # frames per second of that mode
+    fourcc: str  # the picture format to request
+    led_levels: int = (
+        0  # LED brightness steps above 0, set through the zoom control; 0 if the LEDs cannot be set
+    )
+    turn: str = "none"  # rotation that makes its frames upright, as in a view
 
     def turned(self, view: View, frame_shape: tuple[int, int], image_shape: tuple[int, int]) -> View | None:
         """A view of its frames (H, W) whose images are (H, W), turned as the camera lies; None if there is none."""
@@ -133,18 +113,13 @@ class KnownCamera:
 
 @dataclass(frozen=True)
 class KnownSensor:
-    """A row of the table.
+    """A row of the table."""
 
-    Attributes
-    ----------
-    profile : SensorProfile; None if no real sensor exists
-    preset : function of `gelform.simulate.presets` that makes its simulation; None if there is none
-    camera : KnownCamera; None if units are built with any camera
-    """
-
-    profile: SensorProfile | None
-    preset: str | None = None
-    camera: KnownCamera | None = None
+    profile: SensorProfile | None  # None if no real sensor exists
+    preset: str | None = (
+        None  # function of `gelform.simulate.presets` that makes its simulation; None if there is none
+    )
+    camera: KnownCamera | None = None  # None if units are built with any camera
 
     def simulated(self) -> SimulatedSensor:
         """The sensor to simulate; SensorError if it has no simulation."""
@@ -221,15 +196,10 @@ def scale_off_make(make: str | None, image_shape: tuple[int, int], mm_per_px: fl
 
 
 def check_gel_width(image_shape: tuple[int, int], mm_per_px: float, make: str | None = None) -> str | None:
-    """Refuse a scale, mm/px, with which the gel in images (H, W) would have a width that no sensor has.
+    """Refuse a scale, mm/px, with which the gel in images (H, W) would have a width that no sensor has: ValueError.
 
     A known make's gel is half to twice as wide as stated; another one 3 to 150 mm. Returns a note if an unknown one is
     narrower than 5 mm or wider than 60 mm, else None.
-
-    Raises
-    ------
-    ValueError
-        No sensor is that narrow or wide.
     """
     profile, width = PROFILES.get(make or ""), max(image_shape)
     low, high = GEL_MM

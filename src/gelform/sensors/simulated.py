@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Array, Image
 from gelform.errors import SensorError
 from gelform.foundations.checks import check_positive
 from gelform.image.frame import Frame
@@ -88,11 +88,12 @@ def sensor_from_settings(settings: Mapping[str, Any]) -> SimulatedSensor:
         A key is unknown (the nearest known one is suggested), or a value has the wrong type or is out of range.
     """
     _check(settings, SimulatedSensor, "the sensor", OWN_KEYS)
-    given = {
-        key: _frozen(value) for key, value in settings.items() if key not in (*OWN_KEYS, *SECTIONS, "leds")
-    }
-    if "leds" in settings:
-        given["leds"] = tuple(_led(led) for led in _tables(settings["leds"]))
+    taken = (*OWN_KEYS, *SECTIONS, "leds")
+    given = {key: _frozen(value) for key, value in settings.items() if key not in taken}
+    if (leds := settings.get("leds")) is not None:
+        if not isinstance(leds, Sequence) or not all(isinstance(led, Mapping) for led in leds):
+            raise TypeError(f"Expected leds as tables, [[leds]], got {leds!r}.")
+        given["leds"] = tuple(map(_led, leds))
     base = simulated_sensor_named(str(settings["base"])) if "base" in settings else None
     if base is None and "leds" not in given:
         raise ValueError(
@@ -129,12 +130,6 @@ def _led(table: Mapping[str, Any]) -> Led:
     strength = float(table.get("power", 1.0))
     red, green, blue = led_color(float(table["peak_nm"]), float(table.get("width_nm", 25.0)))
     return Led(color=(strength * red, strength * green, strength * blue), **values)
-
-
-def _tables(leds: Any) -> Sequence[Mapping[str, Any]]:
-    if not isinstance(leds, Sequence) or not all(isinstance(led, Mapping) for led in leds):
-        raise TypeError(f"Expected leds as tables, [[leds]], got {leds!r}.")
-    return leds
 
 
 def _check(given: Mapping[str, Any], kind: Any, where: str, own: Sequence[str] = ()) -> None:
@@ -232,9 +227,9 @@ class SimulatedSource:
         self._linear = sensor.linear()
         self._objects = program(sensor)
         self._images = self._objects[0]
-        self._levels: dict[Touch, NDArray[Any]] = {}
-        self._pressed_levels = lru_cache(maxsize=64)(self._levels_of_press)
-        self._untouched = self._pressed_levels(BALL, 0.0, 0.0, 0.0)
+        self._levels: dict[Touch, Array] = {}
+        self._pressed = lru_cache(maxsize=64)(self._levels_of_press)
+        self._untouched = self._pressed(BALL, 0.0, 0.0, 0.0)
         self._asked: AskedPress | None = None
         self.resting = False
         self._closed = threading.Event()
@@ -251,7 +246,7 @@ class SimulatedSource:
             yield Frame(image, time_s, time.time_ns(), index)
             index = pace.next_after(index)
 
-    def image_at(self, index: int) -> NDArray[np.uint8]:
+    def image_at(self, index: int) -> Image:
         """The image (H, W, 3) uint8 RGB of a frame number."""
         levels = self._levels_now(index / self._rate_hz).astype(np.float32)
         return np.asarray(image_from_levels(self.sensor, levels, np.random.default_rng([self._seed, index])))
@@ -290,32 +285,32 @@ class SimulatedSource:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _levels_now(self, time_s: float) -> NDArray[Any]:
+    def _levels_now(self, time_s: float) -> Array:
         """Linear gray levels (H, W, 3) of the current touch, before noise, response curve and rounding."""
         asked = self._asked
         depth_mm = None if asked is None else asked.depth_at(time.monotonic())
         if asked is not None and depth_mm is not None:
             depth_mm = STEP_MM * round(depth_mm / STEP_MM)
-            if depth_mm > 0:
-                return self._pressed_levels(asked.ball, depth_mm, asked.x_px, asked.y_px)
-            return self._untouched
+            return (
+                self._pressed(asked.ball, depth_mm, asked.x_px, asked.y_px)
+                if depth_mm > 0
+                else self._untouched
+            )
         images, at = self._images, int((time_s + 0.7 * self._seed) * IMAGE_RATE_HZ)  # seeds start 0.7 s apart
         touch = None if self.resting else images[at % len(images)]
         return self._untouched if touch is None else self._levels_of_touch(touch)
 
-    def _levels_of_touch(self, touch: Touch) -> NDArray[Any]:
+    def _levels_of_touch(self, touch: Touch) -> Array:
         if touch not in self._levels:
             self._levels[touch] = self._simulated(touch.indenter, touch.pose)
         return self._levels[touch]
 
-    def _levels_of_press(self, ball: Ball, depth_mm: float, x_px: float, y_px: float) -> NDArray[Any]:
+    def _levels_of_press(self, ball: Ball, depth_mm: float, x_px: float, y_px: float) -> Array:
         height, width = self.sensor.shape
-        x_mm, y_mm = (
-            (at - (size - 1) / 2) * self.sensor.mm_per_px for at, size in ((x_px, width), (y_px, height))
-        )
-        return self._simulated(ball, Pose(depth_mm, (x_mm, y_mm)))
+        middle_mm = np.array([x_px - (width - 1) / 2, y_px - (height - 1) / 2]) * self.sensor.mm_per_px
+        return self._simulated(ball, Pose(depth_mm, tuple(middle_mm.tolist())))
 
-    def _simulated(self, indenter: Indenter, pose: Pose) -> NDArray[Any]:
+    def _simulated(self, indenter: Indenter, pose: Pose) -> Array:
         press = simulate_pose(self._linear, indenter, pose, rng=None, quantise=False)
         return press.image.astype(np.float16)  # steps of 1/8 of a gray level: finer than the noise
 
@@ -333,7 +328,15 @@ class SimulatedSource:
 
 def program(sensor: SimulatedSensor) -> list[list[Touch | None]]:
     """The touches of each object, image by image; None: nothing touches. Pressed objects leave the way they came."""
-    objects = [[*[None] * REST_IMAGES, *(Touch(BALL, pose) for pose in _rolling(sensor))]]
+    height, width = (size * sensor.mm_per_px for size in sensor.shape)
+    turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+    depths_mm = 0.55 * np.minimum(1, np.minimum(np.arange(48), np.arange(48)[::-1]) / 8)
+    # A ball goes in, rolls once around the middle, and goes out.
+    rolling = [
+        Pose(max(d, 0.02), (ROLL * width * float(np.cos(a)), ROLL * height * float(np.sin(a))))
+        for d, a in zip(depths_mm.tolist(), turn)
+    ]
+    objects = [[*[None] * REST_IMAGES, *(Touch(BALL, pose) for pose in rolling)]]
     for indenter, depth_mm, steps, spin_deg, tilt_deg in (
         (Coin(), 0.35, 14, 0.0, 0.0),
         (Screw(), 0.45, 14, 25.0, 0.0),
@@ -347,14 +350,3 @@ def program(sensor: SimulatedSensor) -> list[list[Touch | None]]:
         ]
         objects.append([*[None] * REST_IMAGES, *going_in, *going_in[::-1]])
     return objects
-
-
-def _rolling(sensor: SimulatedSensor) -> list[Pose]:
-    """Poses of a ball that goes in, rolls once around the middle, and goes out."""
-    height, width = (size * sensor.mm_per_px for size in sensor.shape)
-    turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-    depth_mm = 0.55 * np.minimum(1, np.minimum(np.arange(48), np.arange(48)[::-1]) / 8)
-    return [
-        Pose(max(float(d), 0.02), (ROLL * width * float(np.cos(a)), ROLL * height * float(np.sin(a))))
-        for d, a in zip(depth_mm, turn)
-    ]
