@@ -90,7 +90,8 @@ def sensor_from_settings(settings: Mapping[str, Any]) -> SimulatedSensor:
     _check(settings, SimulatedSensor, "the sensor", OWN_KEYS)
     taken = (*OWN_KEYS, *SECTIONS, "leds")
     given = {key: _frozen(value) for key, value in settings.items() if key not in taken}
-    if (leds := settings.get("leds")) is not None:
+    if "leds" in settings:
+        leds = settings["leds"]
         if not isinstance(leds, Sequence) or not all(isinstance(led, Mapping) for led in leds):
             raise TypeError(f"Expected leds as tables, [[leds]], got {leds!r}.")
         given["leds"] = tuple(map(_led, leds))
