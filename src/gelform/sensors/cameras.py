@@ -357,21 +357,13 @@ def programs_that_hold(path: str) -> list[str]:
 
 
 class UsbCamera:
-    """The frames of a USB camera.
+    """The frames of a USB camera, one of `cameras_there`, with these settings: width, height, fps, fourcc, exposure ...
 
     A known sensor's camera runs in its usual mode, any other camera in its current mode. Large frames that the camera sends
     as JPEG are decoded at reduced size (see `reduction_of`). `time_s` is the driver's time stamp if it is on the monotonic
     clock.
 
-    Parameters
-    ----------
-    camera : one of `cameras_there`
-    settings : the values to set: width, height, fps, fourcc, exposure, gain, white_balance, led_level
-
-    Raises
-    ------
-    SensorError
-        The camera is missing, access is denied, it is in use, or it rejects a setting.
+    SensorError: the camera is missing, access is denied, it is in use, or it rejects a setting.
     """
 
     live = True

@@ -31,17 +31,10 @@ from gelform.sensors.recordings.mcap_reader import Recording, is_bag_folder
 def open_film(path: Path, *, rate_hz: float | None = None, bgr: bool = False, scan: bool = False) -> Film:
     """Open a folder of images, a file of several, a video or a recording (*.mcap, or a rosbag2 folder).
 
-    Parameters
-    ----------
-    path : of it
-    rate_hz : frames per second of images; 25 by default
-    bgr : whether its frames are blue, green, red
-    scan : whether to scan it now, so that a damaged or empty one is refused
+    Images come at `rate_hz` per second, or as blue, green, red with `bgr`. With `scan` it is scanned now, so that a damaged
+    or empty one is refused.
 
-    Raises
-    ------
-    DataError
-        It is missing, damaged, of an unknown kind, or without a frame.
+    DataError: it is missing, damaged, of an unknown kind, or without a frame.
     """
     film: Film
     if path.suffix.lower() == ".mcap" or is_bag_folder(path):

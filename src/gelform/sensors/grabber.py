@@ -24,11 +24,8 @@ Value = TypeVar("Value")
 class Newest(Generic[Value]):
     """Keeps the newest value and its figures for any number of readers; each remembers the last number that it read.
 
-    Parameters
-    ----------
-    keep : number of values held, for readers of each one
-    every : True: a value stays until someone has read it. For recordings, of which no frame may be lost
-    rated : number of last values whose times give the rate
+    It holds `keep` values, for readers of each one. With `every`, a value stays until someone has read it, for recordings,
+    of which no frame may be lost. The times of the last `rated` values give their rate.
     """
 
     def __init__(self, *, keep: int = 1, every: bool = False, rated: int = 60) -> None:

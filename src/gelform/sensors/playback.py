@@ -149,14 +149,10 @@ class Film:
 
 
 class Playback:
-    """A film, or other frames that end, as a source.
+    """A film, or other frames that end, as a source, with the facts of the camera as far as they are known.
 
-    Parameters
-    ----------
-    frames : from the start
-    facts : of the recording camera, as far as they are known
-    paced : False: each frame as fast as it can be read, with the file's `time_s`. True: at the original pace, `time_s` on
-        the monotonic clock; frames more than one frame period late are skipped
+    Each frame comes as fast as it can be read, with the file's `time_s`; paced, at the original pace and with `time_s` on
+    the monotonic clock. Paced frames more than one frame period late are skipped.
     """
 
     def __init__(self, frames: Iterable[Frame], facts: RecordingFacts, *, paced: bool = False) -> None:

@@ -80,12 +80,7 @@ def attached_to(path: Path) -> dict[str, bytes]:
 def attached_calibration(path: str | Path) -> Calibration | None:
     """The calibration attached to a recording; None if there is none.
 
-    Raises
-    ------
-    DataError
-        The recording cannot be read.
-    CalibrationError
-        The calibration is damaged, or of a newer format.
+    DataError: the recording cannot be read. CalibrationError: the calibration is damaged, or of a newer format.
     """
     content = attached_to(Path(path)).get(CALIBRATION)
     if content is None:
@@ -209,14 +204,10 @@ def new_file(folder: Path, kind: str) -> Path:
 class Recorder:
     """One recording in its own thread, which `start` starts: an MCAP file, which needs the extra `mcap`.
 
-    Parameters
-    ----------
-    grabber : running; stays open for its other consumers
-    folder : parent of the recording, which gets its own name
-    calibration, background : in use, or None; they are attached to the recording
-    wanted : called at each frame, and four times a second; the recording ends when it returns False
-    on_ended : called in the recording's thread once the recording is finished, for whatever reason
-    max_bytes : size of the pictures at which it ends: 2 GB are six minutes at 60 frames a second, 320x240 px, as PNG
+    It has a name of its own in the folder, and carries the calibration and the background in use. The running grabber stays
+    open for its other consumers. It ends when `wanted()`, called at each frame and four times a second, is False, or at
+    `max_bytes` of pictures: 2 GB are six minutes at 60 frames a second, 320x240 px, as PNG. `on_ended` is then called in
+    its thread, whatever the reason.
     """
 
     def __init__(

@@ -121,10 +121,8 @@ class PlacedMessage:
 def mcap_records(path: Path) -> Iterator[Any]:
     """Channels, messages with their topic, and all other records as the library returns them.
 
-    DataError: the file is missing, no MCAP file or damaged, or the extra `mcap` is not installed.
+    DataError: as `records_from`.
     """
-    if not path.is_file():
-        raise DataError(f"No recording {path}. Check the path.")
     schemas: dict[int, str] = {}
     topics: dict[int, str] = {}
     for record in chain.from_iterable(records for _, records in records_from(path)):
@@ -145,7 +143,11 @@ def records_from(path: Path, offset: int = 0) -> Iterator[tuple[int, list[Any]]]
     """(offset, contents) of each record from an offset on; the contents are the record itself or those of a chunk.
 
     The first offset is 0, or one that this function returned before.
+
+    DataError: the file is missing, no MCAP file or damaged, or the extra `mcap` is not installed.
     """
+    if not path.is_file():
+        raise DataError(f"No recording {path}. Check the path.")
     mcap = needed("mcap.stream_reader", "mcap", "An MCAP file")
     with path.open("rb") as file, _faults_named(path):
         file.seek(offset)
@@ -305,10 +307,10 @@ class Recording(Film):
 
     def _read(self) -> Iterator[Frame]:
         first_ns: int | None = None
-        placed = (one for one in mcap_records(self._file) if isinstance(one, PlacedMessage))
-        for number, one in enumerate(one.message for one in placed if one.topic == self._topic.name):
-            first_ns = one.log_time if first_ns is None else first_ns
-            yield self._frame_of(one, (one.log_time - first_ns) / 1e9, number)
+        messages = chain.from_iterable(self._wanted(inside) for _, inside in records_from(self._file))
+        for number, message in enumerate(messages):
+            first_ns = message.log_time if first_ns is None else first_ns
+            yield self._frame_of(message, (message.log_time - first_ns) / 1e9, number)
 
     @cached_property
     def times_s(self) -> Sequence[float]:

@@ -108,11 +108,7 @@ class McapRecording:
     recorder that is killed loses the last half second. Time stamps start as UTC and advance with the monotonic clock of
     `Frame.time_s`, so that a change of the system clock does not shift them.
 
-    Parameters
-    ----------
-    path : a new file
-    facts : of the camera
-    attached : attached files by name: `attachments_of`
+    The path is a new file's, the facts are the camera's, and `attached` are files by name: `attachments_of`.
 
     DataError: the file exists or cannot be written, or the extra `mcap` is not installed.
     """

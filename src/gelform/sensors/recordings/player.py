@@ -30,11 +30,8 @@ class Player:
     A reader that is too slow gets the newest frame that is due. At a damaged frame playing stops, and `problem` gives
     the reason; the frame is skipped. Methods may be called in any thread.
 
-    Parameters
-    ----------
-    recording : that was scanned
-    clock : replaceable, to run faster or slower than real time
-    may_begin : it shows its first frame until this is true, such as once somebody looks
+    It shows the first frame of the scanned recording until `may_begin()`, such as once somebody looks. Another `clock` runs
+    it faster or slower than real time.
     """
 
     live = True

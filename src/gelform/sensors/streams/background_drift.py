@@ -69,10 +69,8 @@ class MeanImage:
 class BackgroundDrift:
     """The current background; a function of the sequence of images and results.
 
-    Parameters
-    ----------
-    background : (H, W, 3) float32, 0-255, the background at the start of the sequence
-    calibrated : that of the calibration, with which one that is taken is compared; by default the same
+    It begins with `background` (H, W, 3), 0-255. One that is taken is compared with the calibration's, `calibrated`, by
+    default the same.
     """
 
     def __init__(self, background: Map, calibrated: Map | None = None) -> None:
@@ -239,17 +237,11 @@ class Touched:
         self._kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
 
     def mark(self, time_s: float, step_s: float, contact: Mask, change: Map, untouched: Map) -> None:
-        """Find and remember the blocks (h, w) that may be touched at this time, including the margin.
+        """Find and remember the blocks (h, w) that may be touched at this time, `step_s` after the last, with the margin.
 
-        A block may be touched if a frame shows contact there. It also may be if its brightness stands out from all
-        blocks, in the last second or in the mean of about ten.
-
-        Parameters
-        ----------
-        step_s : time since the last call, s
-        contact : (h, w), blocks in which a frame shows contact
-        change : (h, w, 3), relative change of the blocks against the background in the current light
-        untouched : (h, w, 3), the background, gray levels
+        Those are blocks in which a frame shows contact, and those whose brightness stands out from all blocks, in the last
+        second or in the mean of about ten. `change` (h, w, 3) is relative, against the background in the current light, of
+        which `untouched` (h, w, 3) has the gray levels.
         """
         slight = np.clip(change, -MOST_CHANGE, MOST_CHANGE)
         self._long += np.float32(-np.expm1(-step_s / LONG_S)) * (slight - self._long)

@@ -118,11 +118,8 @@ def untimed(_: str) -> AbstractContextManager[None]:
 class Memory:
     """A function of the images and results of one sequence, in order; times come from the frames.
 
-    Parameters
-    ----------
-    reconstruct : Reconstructor of the sensor, with the background at the start of the sequence
-    smoothing : time constant of the smoothing, s, or None
-    standing : returns the current findings about the source, such as a camera whose settings differ from the calibration's
+    It begins with the Reconstructor's background. `smoothing` has a time constant, s. `standing` returns the current
+    findings about the source, such as a camera whose settings differ from the calibration's.
     """
 
     def __init__(

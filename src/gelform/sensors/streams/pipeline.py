@@ -50,13 +50,9 @@ class Feed(Protocol):
 
 
 class NewestFrames:
-    """The newest frames of a grabber.
+    """The newest frames of a running grabber, which closes with the feed if it is `owned`: others may share it.
 
-    Parameters
-    ----------
-    grabber : running
-    owned : True if the grabber closes with the feed; a grabber that the caller passed stays open for other consumers
-    paused : returns True while no frame is to be given; frames of that time are not skipped
+    None is given while `paused()` is true; frames of that time are not skipped.
     """
 
     every = False
@@ -115,17 +111,9 @@ class EveryFrame:
 
 
 def feed_from_source(source: SourceLike) -> Feed:
-    """Open the feed of a source.
+    """Open the feed of what `stream` takes as a source.
 
-    Parameters
-    ----------
-    source : argument of `open_source`, or a function that opens a source and is called again after a loss; an open
-        Source; or a running Grabber, which other streams may share
-
-    Raises
-    ------
-    SensorError, DataError
-        The source cannot be opened; the message lists the available ones.
+    SensorError, DataError: it cannot be opened; the message lists the available ones.
     """
     if isinstance(source, Grabber):
         return NewestFrames(source, owned=False)
@@ -188,11 +176,7 @@ class Pipeline(Generic[Value]):
     that the results are the same each time. An exception in a stage ends the pipeline and is raised to the readers of
     `results`.
 
-    Parameters
-    ----------
-    feed : running source of frames; closed with the pipeline
-    sequence : makes the results; its slow work runs on threads
-    keep : number of last results held in `recent`
+    It closes the running feed with itself. `recent` holds the last `keep` results.
     """
 
     def __init__(self, feed: Feed, sequence: RunningSequence[Value], *, keep: int = 0) -> None:

@@ -101,11 +101,7 @@ def calibration_at_rest(
 class UntouchedFirst:
     """Feed and sequence of a stream that starts once the gel was at rest; of a recording every frame is then given.
 
-    Parameters
-    ----------
-    feed : of the sensor
-    starter : of its make
-    memory_of : makes the memory of the sequence from a Reconstructor, before the first frame is given
+    `memory_of` makes the memory of the sequence from a Reconstructor, before the first frame is given.
     """
 
     def __init__(self, feed: Feed, starter: Starter, memory_of: Callable[[Reconstructor], Memory]) -> None:
