@@ -1,10 +1,11 @@
-"""A stream without a calibration starts with a starter's, after a second of the gel at rest.
+"""A stream for its user: newest first, bounded ages, errors arrive, threads end; every frame of a recording.
 
-A stream for its user: newest first, bounded ages, errors arrive, threads end; every frame of a recording.
+Without a calibration it starts with a starter's, after a second of the gel at rest.
 """
 
 import gc
 import os
+import re
 import threading
 import time
 from dataclasses import replace
@@ -26,9 +27,12 @@ from made.sources import ImageSource
 MAKE = "simulated-three-edges"
 
 
-@pytest.fixture
-def no_library(tmp_path, monkeypatch):
+@pytest.fixture(autouse=True)
+def no_library_and_every_thread_ends(tmp_path, monkeypatch):
     monkeypatch.setenv("GELFORM_CALIBRATIONS", str(tmp_path / "none"))
+    yield
+    left = [thread for thread in threading.enumerate() if thread.name.startswith(("gelform", "grab"))]
+    assert left == []
 
 
 class TouchedFirst(ImageSource):
@@ -41,14 +45,9 @@ class TouchedFirst(ImageSource):
     def __iter__(self):
         for frame in super().__iter__():
             moved = self.touched and frame.index // 5 % 2
-            yield (
-                frame
-                if not moved
-                else type(frame)(self.pressed[0], frame.time_s, frame.wall_time_ns, frame.index)
-            )
+            yield replace(frame, image=self.pressed[0]) if moved else frame
 
 
-@pytest.mark.usefixtures("no_library")
 def test_it_waits_while_something_moves_says_so_and_begins_then(unpressed):
     source = TouchedFirst(unpressed[0.0], unpressed[0.4])
     with gelform.stream(source, sensor=MAKE) as stream:
@@ -68,23 +67,16 @@ def test_it_waits_while_something_moves_says_so_and_begins_then(unpressed):
         assert stream.stats.state == "running"
 
 
-@pytest.mark.usefixtures("no_library")
 def test_a_recording_begins_with_the_untouched_gel_and_loses_no_frame(unpressed):
     images = [*unpressed[0.0] * 4, *unpressed[0.4]]
     results = list(gelform.stream(ImageSource(images, live=False, count=20), sensor=MAKE))
     assert [result.index for result in results] == list(range(20))
     assert max(result.peak_mm for result in results[:16]) < 0.05
     assert min(result.peak_mm for result in results[16:]) == pytest.approx(0.4, abs=0.08)
-
-
-@pytest.mark.usefixtures("no_library")
-def test_a_recording_that_does_not_begin_with_it_is_refused(unpressed):
-    images = [*unpressed[0.0], *unpressed[0.4]]
     with pytest.raises(CalibrationError, match=r"first frames.*simulated-three-edges.*background="):
-        list(gelform.stream(ImageSource(images, live=False, count=20), sensor=MAKE))
+        list(gelform.stream(ImageSource(images[12:], live=False, count=20), sensor=MAKE))
 
 
-@pytest.mark.usefixtures("no_library")
 def test_a_background_that_is_given_wins(unpressed):
     background = np.mean(unpressed[0.0], axis=0)
     source = ImageSource(unpressed[0.4], live=False, count=3)
@@ -93,7 +85,6 @@ def test_a_background_that_is_given_wins(unpressed):
     assert results[0].peak_mm == pytest.approx(0.4, abs=0.08)
 
 
-@pytest.mark.usefixtures("no_library")
 def test_the_library_comes_before_the_starter(unpressed, tmp_path, monkeypatch):
     from gelform.calibration.library import add_calibration
 
@@ -108,27 +99,17 @@ def test_the_library_comes_before_the_starter(unpressed, tmp_path, monkeypatch):
     assert result.calibration_digest == mine.digest
 
 
-@pytest.mark.usefixtures("no_library")
 def test_another_make_reaches_who_reads(unpressed):
+    """Also where only the source names it: a GelSight Mini's name is taken for it, and what it shows is not its light."""
+    lying = ImageSource([i.transpose(1, 0, 2) for i in unpressed[0.0]], live=False, count=4)
     with pytest.raises(CalibrationError, match="background of a DIGIT"):
-        list(
-            gelform.stream(
-                ImageSource([i.transpose(1, 0, 2) for i in unpressed[0.0]], live=False, count=4),
-                sensor="digit",
-            )
-        )
-
-
-@pytest.mark.usefixtures("no_library")
-def test_the_make_is_that_of_the_source(unpressed):
-    """A GelSight Mini's name is taken for it, and what it shows is not its light."""
+        list(gelform.stream(lying, sensor="digit"))
     source = ImageSource(unpressed[0.0], live=False, count=4)
     source.name = "GelSight Mini R0B 2BKR"
     with pytest.raises(CalibrationError, match="background of a GelSight Mini"):
         list(gelform.stream(source))
 
 
-@pytest.mark.usefixtures("no_library")
 def test_mistakes_are_said_before_anything_opens(unpressed, calibration):
     source = ImageSource(unpressed[0.0])
     with pytest.raises(CalibrationError, match=r"sensor= \(--sensor\), one of digit, gelsight-mini"):
@@ -139,14 +120,6 @@ def test_mistakes_are_said_before_anything_opens(unpressed, calibration):
         gelform.stream(source, calibration, sensor=MAKE)
 
 
-@pytest.fixture
-def every_thread_ends():
-    yield
-    left = [thread for thread in threading.enumerate() if thread.name.startswith(("gelform", "grab"))]
-    assert left == []
-
-
-@pytest.mark.usefixtures("every_thread_ends")
 def test_results_carry_what_is_known_of_their_frames(calibration, pressed):
     with gelform.stream(ImageSource(pressed), calibration) as stream:
         first, second = (result for result, _ in zip(stream, range(2)))
@@ -158,7 +131,6 @@ def test_results_carry_what_is_known_of_their_frames(calibration, pressed):
     assert first.peak_mm == pytest.approx(0.5, abs=0.1)
 
 
-@pytest.mark.usefixtures("every_thread_ends")
 def test_a_recording_loses_no_frame_and_is_as_without_a_stream(calibration, reconstruct, pressed):
     source = ImageSource(pressed, live=False, count=7)
     results = list(gelform.stream(source, calibration))
@@ -166,7 +138,6 @@ def test_a_recording_loses_no_frame_and_is_as_without_a_stream(calibration, reco
     np.testing.assert_array_equal(results[6].depth, reconstruct.from_image(pressed[6]).depth)
 
 
-@pytest.mark.usefixtures("every_thread_ends")
 def test_the_threads_of_the_process_and_its_environment_stay(calibration, pressed):
     there, before = dict(os.environ), cv2.getNumThreads()
     cv2.setNumThreads(3)
@@ -178,7 +149,6 @@ def test_the_threads_of_the_process_and_its_environment_stay(calibration, presse
         cv2.setNumThreads(before)
 
 
-@pytest.mark.usefixtures("every_thread_ends")
 def test_a_slow_consumer_gets_the_newest_frame(calibration, at_rest):
     """The frame that is being reconstructed and one on its way; not those that came while the consumer slept."""
     with gelform.stream(ImageSource(at_rest, rate_hz=20), calibration) as stream:
@@ -194,7 +164,6 @@ def test_a_slow_consumer_gets_the_newest_frame(calibration, at_rest):
     assert stream.stats.results > len(indices)
 
 
-@pytest.mark.usefixtures("every_thread_ends")
 def test_a_loop_that_breaks_closes_the_stream_and_a_forgotten_one_ends(calibration, at_rest):
     for _result in gelform.stream(ImageSource(at_rest), calibration):
         break
@@ -204,7 +173,6 @@ def test_a_loop_that_breaks_closes_the_stream_and_a_forgotten_one_ends(calibrati
     gc.collect()
 
 
-@pytest.mark.usefixtures("every_thread_ends")
 def test_a_with_block_keeps_it_open_between_loops(calibration, at_rest):
     with gelform.stream(ImageSource(at_rest), calibration) as stream:
         first = next(iter(stream)).index
@@ -214,20 +182,21 @@ def test_a_with_block_keeps_it_open_between_loops(calibration, at_rest):
     stream.close()
 
 
-@pytest.mark.usefixtures("every_thread_ends")
-def test_an_error_in_a_stage_reaches_every_consumer(calibration, at_rest):
-    odd = [at_rest[0], at_rest[0][:-2]]  # another size: no frame of this sensor's
-    with gelform.stream(ImageSource(odd), calibration) as stream:
-        with pytest.raises(ValueError, match=r"frames of 132x176 px.*got 130x176. Set the camera's width"):
-            for _result in stream:
-                pass
-        with pytest.raises(ValueError, match="132"):
-            stream.latest(0.0)
-        assert stream.stats.state == "failed"
-        assert "132" in stream.stats.reason
+def test_an_error_of_the_source_or_a_stage_reaches_every_consumer(calibration, at_rest):
+    broken = ImageSource(at_rest, count=2, fails=SensorError("the cable is out"))
+    odd = ImageSource([at_rest[0], at_rest[0][:-2]])  # another size: no frame of this sensor's
+    for source, error, said in (
+        (broken, SensorError, "the cable is out"),
+        (odd, ValueError, r"frames of 132x176 px.*got 130x176. Set the camera's width"),
+    ):
+        with gelform.stream(source, calibration) as stream:
+            for read in (list, lambda stream: stream.latest(0.0)):
+                with pytest.raises(error, match=said):
+                    read(stream)
+            assert stream.stats.state == "failed"
+            assert re.search(said, stream.stats.reason)
 
 
-@pytest.mark.usefixtures("every_thread_ends")
 def test_images_of_the_calibrated_size_pass_beside_frames_of_the_view(calibration, at_rest):
     height, width = calibration.image_shape
     wide = View((2 * height, 2 * width), image_shape=(height, width))
@@ -237,7 +206,6 @@ def test_images_of_the_calibrated_size_pass_beside_frames_of_the_view(calibratio
             assert next(iter(stream)).depth_mm.shape == calibration.image_shape
 
 
-@pytest.mark.usefixtures("every_thread_ends")
 def test_latest_is_never_older_than_asked(calibration, at_rest):
     with (
         Grabber(lambda: ImageSource(at_rest, count=3)) as grabber,
@@ -252,15 +220,6 @@ def test_latest_is_never_older_than_asked(calibration, at_rest):
         assert stream.stats.age_s > 0.25
 
 
-@pytest.mark.usefixtures("every_thread_ends")
-def test_a_source_that_cannot_go_on_says_why(calibration, at_rest):
-    broken = ImageSource(at_rest, count=2, fails=SensorError("the cable is out"))
-    with gelform.stream(broken, calibration) as stream, pytest.raises(SensorError, match="the cable is out"):
-        for _result in stream:
-            pass
-
-
-@pytest.mark.usefixtures("every_thread_ends")
 def test_images_are_held_for_the_last_results(calibration, at_rest):
     source = ImageSource(at_rest, live=False, count=10)
     with gelform.stream(source, calibration) as stream:
@@ -271,7 +230,6 @@ def test_images_are_held_for_the_last_results(calibration, at_rest):
             stream.image_of(pairs[0].result)
 
 
-@pytest.mark.usefixtures("every_thread_ends")
 def test_several_sensors_at_once_and_one_for_several_streams(calibration, at_rest, pressed):
     rest, press = (ImageSource(images) for images in (at_rest, pressed))
     with gelform.stream(rest, calibration) as left, gelform.stream(press, calibration) as right:
@@ -287,12 +245,10 @@ def test_several_sensors_at_once_and_one_for_several_streams(calibration, at_res
         assert robot.newest(after_index=index, timeout_s=10) is not None
 
 
-@pytest.mark.usefixtures("every_thread_ends")
 def test_one_sensor_for_a_stream_and_a_recorder(calibration, at_rest, tmp_path):
     """The stream takes the newest frame, the recorder misses none."""
-    with Grabber(
-        lambda: ImageSource(at_rest, rate_hz=50), keep=20 * KEPT_FRAMES
-    ) as grabber:  # of a busy machine too
+    held = 20 * KEPT_FRAMES  # of a busy machine too
+    with Grabber(lambda: ImageSource(at_rest, rate_hz=50), keep=held) as grabber:
         with gelform.stream(grabber, calibration) as stream:
             recording = new_recording(tmp_path / "session.mcap", grabber)
             written = record_frames(grabber, recording, frames=30)
@@ -304,7 +260,6 @@ def test_one_sensor_for_a_stream_and_a_recorder(calibration, at_rest, tmp_path):
     assert np.diff([frame.index for frame in taken]).tolist() == [1] * 29
 
 
-@pytest.mark.usefixtures("every_thread_ends")
 def test_a_frame_that_is_not_of_this_gel_is_a_finding(calibration, at_rest):
     """A gel that was taken off: no exception, nothing known, and the next frame is as any other."""
     off = np.full_like(at_rest[0], 90)
@@ -325,7 +280,6 @@ SPOILT = {
 }
 
 
-@pytest.mark.usefixtures("every_thread_ends")
 @pytest.mark.parametrize(("name", "spoil"), SPOILT.items())
 def test_a_frame_that_shows_nothing_is_a_result_with_the_reason(calibration, at_rest, spoil, name):
     """Eight at 10 Hz, so that one which hangs is seen to."""
@@ -338,7 +292,6 @@ def test_a_frame_that_shows_nothing_is_a_result_with_the_reason(calibration, at_
     assert last.depth_sigma_mm[unknown].min() > 0.5
 
 
-@pytest.mark.usefixtures("every_thread_ends")
 def test_a_recording_or_folder_gives_every_frame_in_order(at_rest, tmp_path):
     feed = feed_from_source(ImageSource(at_rest, live=False, count=5))
     assert feed.every
@@ -356,8 +309,7 @@ def test_a_recording_or_folder_gives_every_frame_in_order(at_rest, tmp_path):
     np.testing.assert_array_equal(frames[0].image, at_rest[0])
 
 
-@pytest.mark.usefixtures("every_thread_ends")
-def test_a_live_source_is_opened_once_and_gives_frames_newer_than_the_last(at_rest):
+def test_a_live_source_is_opened_once_and_a_shared_one_goes_on(at_rest):
     """A camera cannot be opened twice."""
     opened = []
 
@@ -373,17 +325,12 @@ def test_a_live_source_is_opened_once_and_gives_frames_newer_than_the_last(at_re
     feed.close()
     assert feed.state == "ended"
     assert [one.closed for one in opened] == [True]
-
-
-@pytest.mark.usefixtures("every_thread_ends")
-def test_a_grabber_that_is_shared_goes_on(at_rest):
-    with Grabber(lambda: ImageSource(at_rest)) as grabber:
+    with Grabber(open_it) as grabber:
         feed_from_source(grabber).close()
         assert grabber.newest(-1, 5) is not None
         assert grabber.state == "running"
 
 
-@pytest.mark.usefixtures("every_thread_ends")
 def test_what_is_no_source():
     with pytest.raises(TypeError, match=r"Expected a source.*int"):
         feed_from_source(7)
@@ -403,7 +350,6 @@ class OddSource(ImageSource):
             yield replace(frame, **self.odd(frame)) if frame.index == 2 else frame
 
 
-@pytest.mark.usefixtures("every_thread_ends")
 @pytest.mark.parametrize("live", [False, True])
 @pytest.mark.parametrize(
     ("odd", "said"),
