@@ -1,7 +1,4 @@
-"""The effect of a sequence on results.
-
-Smoothing reduces noise as its sigma states, and follows a step at once. In a frame that the Reconstructor refuses nothing is
-known, and the reason is given.
+"""The effect of a sequence on results: smoothing, a zero, refused frames.
 
 The threads of a stream: effect of an error, duration of a close, the result that a reader gets, the counts.
 """
@@ -74,13 +71,9 @@ def zeroed(reconstruct, at_rest, pressed):
     """Results before and after a tilt of the gel at rest was set as zero: of the tilt itself, and of a press over it."""
     rest, press = (reconstruct.from_image(images[0]) for images in (at_rest, pressed))
     x = np.arange(rest.shape[1], dtype=np.float32)
-    tilt = {
-        "depth": rest.depth + 0.002 * x,
-        "gradients": rest.gradients + np.float32([0.002 / rest.mm_per_px, 0]),
-    }
-    tilted = replace(rest, **tilt)
-    over = replace(
-        press, depth=press.depth + 0.002 * x, gradients=press.gradients + tilt["gradients"] - rest.gradients
+    slope = np.float32([0.002 / rest.mm_per_px, 0])
+    tilted, over = (
+        replace(one, depth=one.depth + 0.002 * x, gradients=one.gradients + slope) for one in (rest, press)
     )
     zero = zero_from_results([tilted, tilted])
     return press, over, against_zero(tilted, zero), against_zero(over, zero)
@@ -234,8 +227,7 @@ def test_results_of_the_frame_itself_stay():
     seen = Smoothing(0.5)(result)
     assert (seen.index, seen.time_s) == (3, result.time_s)
     assert seen.contact is result.contact
-    without = Smoothing(0.5)(replace(result, depth_sigma_mm=None))
-    assert without.depth_sigma_mm is None
+    assert Smoothing(0.5)(replace(result, depth_sigma_mm=None)).depth_sigma_mm is None
 
 
 def started(act):
@@ -340,28 +332,19 @@ class Failing(Memory):
 
 
 class Hanging(Memory):
-    """A stage that does not come back before it is let go."""
+    """A stage that does not come back before it is let go: `remembered` or `learn`."""
 
-    def __init__(self, reconstruct):
+    def __init__(self, reconstruct, stage="remembered"):
         super().__init__(reconstruct)
         self.entered, self.let_go = Event(), Event()
+        own = getattr(self, stage)
 
-    def remembered(self, image, result):
-        self.entered.set()
-        self.let_go.wait(60)
-        return result
+        def hang(image, result):
+            self.entered.set()
+            self.let_go.wait(60)
+            return own(image, result)
 
-
-class SlowToLearn(Memory):
-    """Learns until it is let go."""
-
-    def __init__(self, reconstruct):
-        super().__init__(reconstruct)
-        self.learning, self.let_go = Event(), Event()
-
-    def learn(self, image, result):
-        self.learning.set()
-        self.let_go.wait(60)
+        setattr(self, stage, hang)
 
 
 class Stepwise:
@@ -423,10 +406,10 @@ def test_stages_are_timed(reconstruct, at_rest):
 
 
 def test_a_result_is_given_before_it_is_learned_from(reconstruct, at_rest):
-    memory = SlowToLearn(reconstruct)
+    memory = Hanging(reconstruct, "learn")
     with running(ImageSource(at_rest), memory) as pipeline:
         first = pipeline.results.newest(timeout_s=60)
-        assert memory.learning.wait(60)
+        assert memory.entered.wait(60)
         assert pipeline.results.newest(first.index, timeout_s=60).index > first.index
         memory.let_go.set()
 
