@@ -1,10 +1,6 @@
 """Faults of a sensor: a repeated image, the light, settings of the camera, marks on the gel, another or a moved gel.
 
-The gels and their faults are simulated.
-
-The background image over minutes: it follows LEDs and gel, but no slow press.
-
-Touches do not distort the smooth light. The simulation is much faster than real time.
+The background image over minutes: it follows LEDs and gel, but no slow press; touches do not distort the smooth light.
 """
 
 from __future__ import annotations
@@ -83,10 +79,11 @@ def test_light_that_changes_is_brightness_or_color():
     assert named([1.0, 1.06, 1.0]) == {"color_shift": pytest.approx(0.06)}
 
 
-def evidence(now, contact=None):
+def outside(now, contact=None):
+    """The findings of light from outside in an image."""
     nowhere, start = np.zeros(SHAPE, bool), start_levels()
     touched = nowhere if contact is None else contact
-    return DriftEvidence(now.astype(np.float32), start, start, nowhere, touched)
+    return light_from_outside(DriftEvidence(now.astype(np.float32), start, start, nowhere, touched))
 
 
 def start_levels():
@@ -98,25 +95,18 @@ def noise(seed=0):
     return np.random.default_rng(seed).normal(0, 0.5, (*SHAPE, 3))
 
 
-def test_light_from_outside_is_added_in_every_channel():
-    (found,) = light_from_outside(evidence(0.97 * start_levels() + 10 + noise()))
+def test_light_from_outside_is_added_in_every_channel_off_contact():
+    """Not the sensor's own light, that of one channel, or what touches; a little is removed, and not worth a word."""
+    start, contact = start_levels(), np.zeros(SHAPE, bool)
+    (found,) = outside(0.97 * start + 10 + noise())
     assert found.name == "room_light"
     assert found.figure == pytest.approx(10, abs=1.5)
-    assert (
-        light_from_outside(evidence(start_levels() + 2 + noise())) == ()
-    )  # it is removed, and not worth a word
-
-
-def test_the_sensors_own_light_one_channel_and_what_touches_are_none():
-    start, contact = start_levels(), np.zeros(SHAPE, bool)
-    for gain in (0.75, 1.0, 1.3):
-        assert light_from_outside(evidence(gain * start + noise())) == ()
-    assert light_from_outside(evidence(start + np.array([15, 0, 0]) + noise())) == ()
+    for now in (start + 2, 0.75 * start, start, 1.3 * start, start + np.array([15, 0, 0])):
+        assert outside(now + noise()) == ()
     now = start + noise()
     now[:, 40:] += 30
     contact[:, 40:] = True
-    assert light_from_outside(evidence(now, contact)) == ()
-    assert light_from_outside(evidence(now, np.ones(SHAPE, bool))) == ()
+    assert outside(now, contact) == outside(now, np.ones(SHAPE, bool)) == ()
 
 
 def camera(serial=None, **settings):
@@ -225,15 +215,13 @@ def test_each_is_named_when_it_stays(fault):
 
 
 def test_what_comes_and_goes_or_rests_there_is_no_mark():
-    """A scratch within a wide contact is the relief of what touches."""
+    """A scratch within a wide contact is the relief of what touches.
+
+    A body's contact ends in thin parts, farther from where it is wide than a mark's surroundings.
+    """
     spot, groove = (fault(REST, np.random.default_rng(8)) for fault in (dust, scratch))
     assert marks_in([spot, spot, REST, spot, spot]) == []
     assert marks_in([groove] * 4, contact=np.ones(MARKED_SHAPE, bool)) == []
-
-
-def test_the_ragged_edge_of_what_rests_there_is_no_mark():
-    """A body's contact ends in thin parts, farther from where it is wide than a mark's surroundings."""
-    groove = scratch(REST, np.random.default_rng(8))
     y, x = np.nonzero(groove.mean(axis=-1) != 100)
     body = np.zeros(MARKED_SHAPE, bool)
     body[:, : x.min() - 40] = True
@@ -292,10 +280,9 @@ def test_a_camera_that_moved_and_another_gel(gel, sensor):
 
 def test_a_smooth_gel_in_place_of_a_rough_one(sensor):
     """It promises a correlation of a tenth: little, but the same gel would show it."""
-    coatings = [Coating(roughness=roughness, seed=seed) for roughness, seed in ((0.009, 1), (0.003, 2))]
-    rough, smooth = (
-        simulate_background(replace(sensor, coating=one), None, quantise=False) for one in coatings
-    )
+    coatings = Coating(roughness=0.009, seed=1), Coating(roughness=0.003, seed=2)
+    coated = (replace(sensor, coating=one) for one in coatings)
+    rough, smooth = (simulate_background(one, None, quantise=False) for one in coated)
     rng = np.random.default_rng(5)
     for start, images in ((rough, smooth), (smooth, smooth)):
         frames = [images + rng.normal(0, 0.4, images.shape) for _ in range(4)]
@@ -398,16 +385,15 @@ def still(drift, image, result, times_s):
 
 @pytest.fixture
 def spot(reconstruct, at_rest):
-    """The gel with a faint spot, too small to be smooth light and too slight to be contact."""
+    """The gel with a faint spot, too small to be smooth light and too slight to be contact; the result of a frame."""
     spot = np.zeros(at_rest[0].shape[:2], np.float32)
     cv2.circle(spot, (60, 50), 6, 1.0, -1)
     rest = np.mean(at_rest, axis=0, dtype=np.float32)
-    return rest, rest * (1 + 0.0015 * spot[..., None]), spot > 0
+    return rest, rest * (1 + 0.0015 * spot[..., None]), spot > 0, reconstruct.from_image(at_rest[0])
 
 
-def test_what_is_slight_comes_late_and_slowly(reconstruct, at_rest, spot):
-    rest, spotted, inside = spot
-    result = reconstruct.from_image(at_rest[0])
+def test_what_is_slight_comes_late_and_slowly(spot):
+    rest, spotted, inside, result = spot
     drift = BackgroundDrift(rest)
     early = still(drift, spotted, result, np.arange(0, AFTER_S, 2.0))
     assert np.abs(early[inside] / rest[inside] - 1).mean() < 2e-4
@@ -415,9 +401,8 @@ def test_what_is_slight_comes_late_and_slowly(reconstruct, at_rest, spot):
     assert (late[inside] / rest[inside] - 1).mean() == pytest.approx(0.0015, rel=0.15)
 
 
-def test_contact_after_it_keeps_it_out(reconstruct, at_rest, spot):
-    rest, spotted, inside = spot
-    result = reconstruct.from_image(at_rest[0])
+def test_contact_after_it_keeps_it_out(spot):
+    rest, spotted, inside, result = spot
     touched = replace(result, contact=inside)
     drift = BackgroundDrift(rest)
     for start in np.arange(0, 400, 50.0):  # touched every 50 s, for a second
@@ -427,9 +412,8 @@ def test_contact_after_it_keeps_it_out(reconstruct, at_rest, spot):
 
 
 @pytest.mark.slow
-def test_a_gap_starts_the_quarantine_anew(reconstruct, at_rest, spot):
-    rest, spotted, inside = spot
-    result = reconstruct.from_image(at_rest[0])
+def test_a_gap_starts_the_quarantine_anew(spot):
+    rest, spotted, inside, result = spot
     drift = BackgroundDrift(rest)
     for start in np.arange(0, 500, 60.0):
         found = still(drift, spotted, result, np.arange(start, start + 50, 2.0))  # then nobody looks for 10 s
@@ -437,26 +421,23 @@ def test_a_gap_starts_the_quarantine_anew(reconstruct, at_rest, spot):
 
 
 @pytest.mark.parametrize(("part", "gain"), [(0.3, 1.0), (0.0, 1.01)])
-def test_a_gel_that_sinks_around_a_contact_is_no_light(reconstruct, at_rest, part, gain):
+def test_a_gel_that_sinks_around_a_contact_is_no_light(spot, part, gain):
     """Smooth brightness is followed within seconds, unless something presses: then it may be the gel."""
-    rest = np.mean(at_rest, axis=0, dtype=np.float32)
-    contact = np.zeros(rest.shape[:2], dtype=bool)
+    rest, contact = spot[0], np.zeros(spot[0].shape[:2], dtype=bool)
     contact[:, : round(part * contact.shape[1])] = True
-    result = replace(reconstruct.from_image(at_rest[0]), contact=contact)
+    result = replace(spot[3], contact=contact)
     found = still(BackgroundDrift(rest), 1.01 * rest, result, np.arange(0, 20, 1.0))
     np.testing.assert_allclose(found[60:, 60:], gain * rest[60:, 60:], rtol=0.002)
 
 
-def test_frames_that_measure_nothing_teach_nothing(reconstruct, at_rest):
-    rest = np.mean(at_rest, axis=0, dtype=np.float32)
-    torn = replace(reconstruct.from_image(at_rest[0]), health=(Finding("torn", "half of it", 0.5),))
-    assert still(BackgroundDrift(rest), at_rest[0] // 2, torn, np.arange(0, 200, 1.0)) is None
+def test_frames_that_measure_nothing_teach_nothing(spot):
+    torn = replace(spot[3], health=(Finding("torn", "half of it", 0.5),))
+    assert still(BackgroundDrift(spot[0]), spot[0] // 2, torn, np.arange(0, 200, 1.0)) is None
 
 
-def test_light_that_would_be_beyond_white_is_white(reconstruct, at_rest):
+def test_light_that_would_be_beyond_white_is_white(spot):
     """A bright corner, all lights up by a quarter: what is smooth elsewhere promises more than a camera shows."""
-    rest = np.mean(at_rest, axis=0, dtype=np.float32)
-    result = reconstruct.from_image(at_rest[0])
+    rest, _, _, result = spot
     rest[:12, :12] = 240
     found = still(BackgroundDrift(rest), np.minimum(1.25 * rest, 255), result, np.arange(0, 20, 1.0))
     assert found[:12, :12].min() == found.max() == 255
@@ -473,9 +454,7 @@ def remembered(memory, images, first=0):
 
 def test_a_background_can_be_taken_in_any_light_but_not_of_a_pressed_gel(reconstruct, at_rest, pressed):
     x = np.linspace(0.85, 0.95, at_rest[0].shape[1])[:, None]
-    dimmed, touched = (
-        [(x * image).astype(np.uint8) for image in images[:10]] for images in (at_rest, pressed)
-    )
+    dimmed, touched = ([(x * image).astype(np.uint8) for image in images] for images in (at_rest, pressed))
     memory = Memory(reconstruct)
     memory.take_background()
     refused = remembered(memory, touched).health[-1]
@@ -538,11 +517,8 @@ def test_a_block_that_stands_out_is_touched_and_what_is_slight_is_seen_in_time()
         change[5, 7] += 0.0045
         seen.append(bool(marked(touched, change, second)[5, 7]))
     assert all(seen[20:])
-
-
-def test_a_strong_touch_is_forgotten_soon():
     touched, pressed = Touched(BLOCKS), noisy_background_drift()
-    pressed[5, 7] = 0.4
+    pressed[5, 7] = 0.4  # is forgotten soon
     for second in range(60):
         marked(touched, pressed if second < 20 else noisy_background_drift(second), second)
     assert touched.not_since(45.0).all()
@@ -587,6 +563,5 @@ def test_what_touches_does_not_bend_the_light():
     assert error(seen, rest) < 2e-3
     seen[:, 8:] = 0
     found = light_at_rest(seen, rest, np.zeros((3, 4)))
-    assert (
-        np.abs(lit(rest, found) / lit(rest, TRUTH) - 1).max() < 0.2
-    )  # where nothing is free it is not thrown about
+    # Where nothing is free it is not thrown about.
+    assert np.abs(lit(rest, found) / lit(rest, TRUTH) - 1).max() < 0.2
