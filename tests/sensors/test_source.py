@@ -18,10 +18,12 @@ from gelform.errors import DataError, SensorError, SourceLostError
 from gelform.image.frame import Frame
 from gelform.sensors import playback
 from gelform.sensors.files import is_video
+from gelform.sensors.films import is_film
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.playback import Pace, Playback, RecordingFacts
 from gelform.sensors.source import open_source
 from live_waiting import until
+from made import sources
 from made.sources import ImageSource
 
 
@@ -59,6 +61,8 @@ def test_what_is_no_source_says_what_is(tmp_path, monkeypatch):
     ):
         with pytest.raises(error, match=said):
             open_source(spec)
+    assert is_film(str(tmp_path))
+    assert not any(map(is_film, ("/dev/null", "2BKRXXXX", "http://a/?" + "9" * 5000)))
 
 
 class Clock:
@@ -117,14 +121,17 @@ def test_as_fast_as_they_are_read_with_their_own_times():
 
 
 def test_paced_frames_come_at_their_time_on_our_clock():
-    source = Playback(frames(6), RecordingFacts("x", rate_hz=50.0), paced=True)
+    given = sources.frames(6)  # unevenly spaced
+    source = Playback(given, RecordingFacts("x", rate_hz=50.0), paced=True)
     assert source.live
-    ages = [time.monotonic() - frame.time_s for frame in source]
-    assert min(ages) >= 0
-    taken = list(Playback(frames(6), RecordingFacts("x", rate_hz=50.0), paced=True))
-    times, steps = (np.diff([getattr(frame, name) for frame in taken]) for name in ("time_s", "index"))
-    assert times == pytest.approx(0.02 * steps, abs=1e-9)  # a late reader passes over some
-    assert all(abs(time.time_ns() - frame.wall_time_ns) < 10e9 for frame in taken)
+    taken = [(frame, time.monotonic()) for frame in source]
+    for frame, now in taken:  # a late reader passes over some
+        after_s = next(one.time_s for one in given if one.index == frame.index) - given[0].time_s
+        assert frame.time_s - taken[0][0].time_s == pytest.approx(after_s, abs=1e-6)
+        assert now >= frame.time_s
+        assert frame.wall_time_ns == sources.START_NS + round(frame.index / 50 * 1e9)
+    stamped = next(iter(Playback(frames(6), RecordingFacts("x"), paced=True)))
+    assert abs(time.time_ns() - stamped.wall_time_ns) < 10e9
 
 
 def test_a_late_reader_gets_the_frame_that_is_due_and_closing_ends_the_loop():

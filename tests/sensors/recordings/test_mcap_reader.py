@@ -1,7 +1,4 @@
-"""MCAP files: records, topics of pictures, ROS 2 bags, damage.
-
-MCAP files while they are written: readable after a kill, and by other readers.
-"""
+"""MCAP files: records, topics of pictures, ROS 2 bags, damage; readable after a kill, and by other readers."""
 
 import os
 import signal
@@ -31,12 +28,9 @@ from gelform.sensors.recordings.mcap_reader import (
 from gelform.sensors.recordings.mcap_writer import McapRecording, message_from_picture
 from gelform.sensors.source import open_source
 from made.files import image_file, raw_message
-from made.sources import FACTS, START_NS, frames, jpeg, small_disk
-from made.sources import recorded as recorded_file
-from made.sources import recorded as recorded_mcap_writer
+from made.sources import FACTS, START_NS, frames, jpeg, recorded, small_disk
 
 writer = pytest.importorskip("mcap.writer", reason="the extra mcap is not installed")
-
 reader = pytest.importorskip("mcap.reader", reason="the extra mcap is not installed")
 
 
@@ -55,17 +49,18 @@ def test_a_folder_is_known_by_its_metadata_and_has_one_file(tmp_path):
     assert not is_bag_folder(tmp_path)
 
 
-def test_what_to_do_where_there_is_not_one(tmp_path):
-    for k, (said, *names) in enumerate(
-        (
-            ("got 2 in .* such as .*a_0.mcap", "a_0.mcap", "a_1.mcap"),
-            ("rosbags-convert --src bag1 --dst bag1_mcap --dst-storage mcap", "a_0.db3"),
-            ("zstd -d a_0.mcap.zstd -o bag2.mcap", "a_0.mcap.zstd"),
-            ("Copy the whole folder",),
-        )
-    ):
-        with pytest.raises(DataError, match=said):
-            mcap_file_in(folder(tmp_path / f"bag{k}", *names))
+@pytest.mark.parametrize(
+    ("said", "names"),
+    [
+        ("got 2 in .* such as .*a_0.mcap", ("a_0.mcap", "a_1.mcap")),
+        ("rosbags-convert --src bag --dst bag_mcap --dst-storage mcap", ("a_0.db3",)),
+        ("zstd -d a_0.mcap.zstd -o bag.mcap", ("a_0.mcap.zstd",)),
+        ("Copy the whole folder", ()),
+    ],
+)
+def test_what_to_do_where_there_is_not_one(tmp_path, said, names):
+    with pytest.raises(DataError, match=said):
+        mcap_file_in(folder(tmp_path / "bag", *names))
 
 
 def test_channels_once_and_messages_with_their_topic(tmp_path):
@@ -122,44 +117,28 @@ FIRST_CHUNK_END = 14000  # bytes: a frame of noise takes 9.3 kB
 
 
 @pytest.fixture
-def recorded(monkeypatch):
-    """Recordings with a chunk per frame."""
+def chunk_per_frame(monkeypatch):
     monkeypatch.setattr("gelform.sensors.recordings.mcap_writer.FLUSH_S", 0.0)
-    return recorded_file
 
 
-def test_a_copy_in_part_is_named(tmp_path, recorded):
-    path = recorded(tmp_path / "whole.mcap", frames(40))
-    assert end_missing(path) == ""
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    assert "cut.mcap has no end: its recorder was killed, or it was copied in part" in end_missing(cut)
-    assert end_missing(tmp_path / "none.mcap") == ""
-    (tmp_path / "whole.avi").write_bytes(b"RIFF" + bytes(100))
-    assert end_missing(tmp_path / "whole.avi") == ""
-
-
-def test_a_paced_replay_keeps_the_timing(tmp_path, recorded):
-    given = frames(6)
-    taken = list(open_source(recorded(tmp_path / "a.mcap", given), paced=True))
-    spaced = {frame.index: frame.time_s - given[0].time_s for frame in given}
-    for frame in taken:
-        assert frame.time_s - taken[0].time_s == pytest.approx(spaced[frame.index], abs=1e-6)
-
-
-def test_a_file_cut_anywhere_gives_the_frames_before(tmp_path, recorded):
-    content = recorded(tmp_path / "a.mcap", frames(6)).read_bytes()
-    counts = []
+@pytest.mark.usefixtures("chunk_per_frame")
+def test_a_file_cut_anywhere_is_named_and_gives_the_frames_before(tmp_path):
+    path, cut = recorded(tmp_path / "whole.mcap", frames(6)), tmp_path / "cut.mcap"
+    content, counts = path.read_bytes(), []
     for end in np.linspace(FIRST_CHUNK_END, len(content) - 1, 25).astype(int):
-        cut = tmp_path / "cut.mcap"
         cut.write_bytes(content[:end])
+        assert "cut.mcap has no end: its recorder was killed, or it was copied in part" in end_missing(cut)
         counts.append(len(list(open_source(cut))))
     assert counts == sorted(counts)
     assert counts[-1] == 6
     assert 0 < counts[12] < 6
+    (tmp_path / "whole.avi").write_bytes(b"RIFF" + bytes(100))
+    for name in ("whole.mcap", "none.mcap", "whole.avi"):
+        assert end_missing(tmp_path / name) == ""
 
 
-def test_changed_bytes_and_a_recorder_killed_before_the_first_frame_are_said(tmp_path, recorded):
+@pytest.mark.usefixtures("chunk_per_frame")
+def test_changed_bytes_and_a_recorder_killed_before_the_first_frame_are_said(tmp_path):
     path = recorded(tmp_path / "a.mcap", frames(6))
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 0x55
@@ -204,13 +183,8 @@ def chunk_file(path, compression, data, size):
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 def test_a_chunk_of_few_bytes_cannot_fill_the_memory(tmp_path, compression):
-    packed = {
-        "zstd": lambda data: pytest.importorskip("zstandard").compress(data),
-        "lz4": lambda data: pytest.importorskip("lz4.frame").compress(data),
-    }[compression]
-    right = (
-        b"\x80" + (100).to_bytes(8, "little") + bytes(100)
-    )  # a record of another program, which is skipped
+    packed = pytest.importorskip({"zstd": "zstandard", "lz4": "lz4.frame"}[compression]).compress
+    right = b"\x80" + (100).to_bytes(8, "little") + bytes(100)  # another program's record, which is skipped
     assert len(list(mcap_records(chunk_file(tmp_path / "right.mcap", compression, packed(right), 109)))) == 0
     bomb = packed(bytes(2**26))
     for size, said in (
@@ -261,7 +235,7 @@ while True:
 
 
 def test_other_readers_find_topic_schema_and_index(tmp_path):
-    with recorded_mcap_writer(tmp_path / "a.mcap", frames(6)).open("rb") as file:
+    with recorded(tmp_path / "a.mcap", frames(6)).open("rb") as file:
         other = reader.make_reader(file)
         messages = list(other.iter_messages())
         assert len(other.get_summary().chunk_indexes) >= 1
@@ -272,7 +246,7 @@ def test_other_readers_find_topic_schema_and_index(tmp_path):
 
 def test_stamps_follow_the_monotonic_clock_where_the_other_is_set(tmp_path):
     back = [replace(one, wall_time_ns=one.wall_time_ns - k * 10**12) for k, one in enumerate(frames(3))]
-    times = [frame.time_s for frame in open_source(recorded_mcap_writer(tmp_path / "a.mcap", back))]
+    times = [frame.time_s for frame in open_source(recorded(tmp_path / "a.mcap", back))]
     assert times == pytest.approx([0, 0.023, 0.04], abs=1e-6)
 
 
@@ -299,14 +273,14 @@ def test_what_a_killed_recorder_wrote_is_read_up_to_the_last_second(tmp_path):
     assert seconds < 1.0
 
 
-def test_without_the_extra_it_is_named_and_nothing_is_written(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "mcap.writer", None)
-    with pytest.raises(DataError, match=r'An MCAP file needs the extra mcap: pip install "gelform\[mcap\]"'):
-        McapRecording(tmp_path / "a.mcap", RecordingFacts("camera"))
+def test_without_the_extra_it_is_named_and_a_file_that_is_there_is_kept(tmp_path, monkeypatch):
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, "mcap.writer", None)
+        with pytest.raises(
+            DataError, match=r'An MCAP file needs the extra mcap: pip install "gelform\[mcap\]"'
+        ):
+            McapRecording(tmp_path / "a.mcap", RecordingFacts("camera"))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_file_that_is_there_is_kept(tmp_path):
     (tmp_path / "a.mcap").write_text("mine")
     with pytest.raises(DataError, match="there already"):
         McapRecording(tmp_path / "a.mcap", RecordingFacts("camera"))

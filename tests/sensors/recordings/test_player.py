@@ -1,7 +1,4 @@
-"""Recordings by number: every frame is the recorded one, in any order, in torn MCAP files too.
-
-The player: in step with its clock, and controlled; the test advances the clock.
-"""
+"""Recordings by number: every frame is the recorded one, in any order, in torn MCAP files too; the player."""
 
 from __future__ import annotations
 
@@ -15,47 +12,28 @@ import pytest
 
 import gelform
 from gelform.errors import DataError, GelformError
-from gelform.sensors.films import is_film, open_film
+from gelform.sensors.films import open_film
 from gelform.sensors.playback import RecordingFacts
-from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.recordings.player import Player
 from live_waiting import until
+from made.sources import recorded
 
-ORDER = (0, 4, 3, 6, 1, 1, 5, 2)
 
-
-@pytest.mark.parametrize("form", ["mcap", "images", "video"])
-def test_any_frame_in_any_order_has_the_number_of_open_source(form, forms, frames):
+@pytest.mark.parametrize(("form", "rate_hz"), [("mcap", 20), ("video", 20), ("images", 25)])
+def test_any_frame_in_any_order_has_the_number_and_time_of_open_source(form, rate_hz, forms, frames):
     recording = open_film(forms[form])
     with gelform.open_source(forms[form]) as source:
         played = list(source)
-    assert len(recording.times_s) == len(played) == len(frames)
-    for number in ORDER:
+    np.testing.assert_allclose(recording.times_s, np.arange(len(frames)) / rate_hz, atol=1e-3)
+    assert len(played) == len(frames)
+    for number in (0, 4, 3, 6, 1, 1, 5, 2):
         found = recording[number]
         np.testing.assert_array_equal(found.image, frames[number].image)
         np.testing.assert_array_equal(found.image, played[number].image)
         assert found.time_s == pytest.approx(recording.times_s[number])
-
-
-@pytest.mark.parametrize(("form", "rate_hz"), [("mcap", 20), ("video", 20), ("images", 25)])
-def test_times_and_camera_are_those_of_the_recording(form, rate_hz, forms, frames):
-    recording = open_film(forms[form])
-    np.testing.assert_allclose(recording.times_s, np.arange(len(frames)) / rate_hz, atol=1e-3)
     if form == "mcap":
         facts = recording.camera
         assert (facts.name, facts.serial, dict(facts.settings)) == ("ring", "S7", {"exposure": 50.0})
-
-
-def test_what_is_no_recording_is_said(tmp_path):
-    (tmp_path / "notes.txt").write_text("x")
-    (tmp_path / "empty").mkdir()
-    for name, words in (("notes.txt", "no video"), ("empty", "Expected images")):
-        with pytest.raises(DataError, match=words):
-            open_film(tmp_path / name)
-    assert is_film(str(tmp_path / "empty"))
-    assert not is_film("/dev/null")
-    assert not is_film("2BKRXXXX")
-    assert not is_film("http://a/?" + "9" * 5000)
 
 
 def test_an_image_that_was_removed_meanwhile_is_said(forms, tmp_path):
@@ -70,22 +48,15 @@ def test_an_image_that_was_removed_meanwhile_is_said(forms, tmp_path):
 def many_chunks(frames, tmp_path, monkeypatch):
     """A chunk for each frame."""
     monkeypatch.setattr("gelform.sensors.recordings.mcap_writer.FLUSH_S", 0.0)
-    recording = McapRecording(tmp_path / "many.mcap", RecordingFacts("ring"))
-    for frame in frames:
-        recording.write(frame)
-    recording.close()
-    return tmp_path / "many.mcap"
+    return recorded(tmp_path / "many.mcap", frames, RecordingFacts("ring"))
 
 
-def test_frames_are_found_across_chunks(many_chunks, frames):
+def test_frames_are_found_across_chunks_also_those_of_a_killed_recorder(many_chunks, frames, tmp_path):
     index = open_film(many_chunks)
     for number in (6, 0, 5, 1, 4):
         found = index[number]
         np.testing.assert_array_equal(found.image, frames[number].image)
         assert found.index == number
-
-
-def test_a_killed_recorders_file_has_its_whole_chunks(many_chunks, frames, tmp_path):
     whole = many_chunks.read_bytes()
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(whole[: int(0.6 * len(whole))])
@@ -103,11 +74,6 @@ def test_damaged_bytes_and_a_file_replaced_meanwhile_are_noticed(many_chunks, fo
     many_chunks.write_bytes(bytes(content))
     with pytest.raises(DataError, match=r"many\.mcap"):
         open_film(many_chunks)[3]
-
-
-@pytest.fixture
-def recording(forms):
-    return open_film(forms["mcap"])
 
 
 class Shown:
@@ -133,6 +99,11 @@ class Shown:
 
 
 @pytest.fixture
+def recording(forms):
+    return open_film(forms["mcap"])
+
+
+@pytest.fixture
 def shown(recording):
     made = Shown(Player(recording))
     yield made
@@ -153,6 +124,9 @@ def test_it_keeps_the_pace(recording):
     """At 1/16 of the speed the frames are 0.8 s apart: a tenth of a second on, the second one has not come."""
     now = [100.0]
     player = Player(recording, clock=lambda: now[0])
+    for speed in (0.0, -1.0, 1e3):
+        with pytest.raises(GelformError, match="speed"):
+            player.set_speed(speed)
     player.set_speed(1 / 16)
     source = iter(player)
     assert next(source).number == 0
@@ -193,12 +167,6 @@ def test_at_the_end_it_begins_again_where_it_loops_or_is_told_to(shown):
     shown.player.loop()
     shown.player.play()
     until(lambda: shown.numbers.count(0) >= 4)
-
-
-@pytest.mark.parametrize("speed", [0.0, -1.0, 1e3])
-def test_speeds_out_of_range_are_refused(recording, speed):
-    with pytest.raises(GelformError, match="speed"):
-        Player(recording).set_speed(speed)
 
 
 def test_a_damaged_frame_is_said_and_passed_over(recording):
