@@ -34,8 +34,7 @@ def channel(frame):
 
 def test_frames_in_rgb_as_they_come_large_ones_reduced():
     frames, source = taken([part(RED), SEEN, part(GREEN), SEEN, part(BLUE)], 3)
-    assert [channel(frame) for frame in frames] == [0, 1, 2]
-    assert [frame.index for frame in frames] == [0, 1, 2]
+    assert [(channel(frame), frame.index) for frame in frames] == [(0, 0), (1, 1), (2, 2)]
     assert frames[1].encoded == GREEN
     assert source.settings == {"width": 64, "height": 48, "reduced": 1}
     assert 0 <= time.monotonic() - frames[0].time_s < WAIT_S
@@ -141,7 +140,7 @@ def test_chunks_may_be_cut_anywhere_and_torn_ones_are_a_lost_source():
         Dechunker().feed(b"\xff\xd8zz\r\n")
 
 
-def test_other_answers_say_what_to_do():
+def test_other_answers_and_a_connection_to_itself_say_what_to_do(monkeypatch):
     for answer, says in (
         (b"HTTP/1.1 401 Unauthorized\r\n\r\n", "user and password"),
         (b"HTTP/1.1 404 Not Found\r\n\r\n", "404 Not Found. Check the path"),
@@ -150,17 +149,12 @@ def test_other_answers_say_what_to_do():
     ):
         with MjpegServer([], answer) as server, pytest.raises(SensorError, match=says):
             HttpBody(server.url, 2.0)
-    for url, says in (
-        (server.url, r"Nothing answers at 127\.0\.0\.1"),
-        ("http:///x", "Expected an address"),
-        ("http://host:port/", "Expected an address"),
-    ):
-        with pytest.raises(SensorError, match=says):
+    with pytest.raises(SensorError, match=r"Nothing answers at 127\.0\.0\.1"):
+        HttpBody(server.url, 2.0)
+    for url in ("http:///x", "http://host:port/"):
+        with pytest.raises(SensorError, match="Expected an address"):
             HttpBody(url, 2.0)
-
-
-def test_a_connection_to_itself_is_no_server(monkeypatch):
-    """Of many attempts at a port that nobody has, one may get that port as its own end."""
+    # Of many attempts at a port that nobody has, one may get that port as its own end.
     with socket.socket() as own:
         own.bind(("127.0.0.1", 0))
         own.connect(own.getsockname())
@@ -200,8 +194,6 @@ def test_parts_come_out_whole_however_they_arrive_or_torn_where_they_lie():
             feed, sent = PartSplitter("frame").feed, lying + part(BODIES[0])
             found = [one for at in range(0, len(sent), size) for one in feed(sent[at : at + size])]
             assert found == [BODIES[1], BODIES[0]]
-    with pytest.raises(ValueError, match="header"):
-        PartSplitter("frame").feed(b"--frame\r\n" + b"X-Filler: a\r\n" * 2000)
     with pytest.raises(ValueError, match="64 MB"):
         PartSplitter("frame").feed(bytes(MAX_PART_BYTES + 1))
     lying = part(BODIES[1]).replace(b"Content-Length: 3004", b"Content-Length: 1000")
@@ -226,29 +218,29 @@ def test_an_address_is_shown_without_its_secrets():
 
 
 def test_no_message_has_the_password():
-    answers = [[part(RED), 0.1, None], [None], [b"<html>", None]]
-    for pieces in answers:
+    for pieces in ([part(RED), 0.1, None], [None], [b"<html>", None]):
         with MjpegServer(pieces) as server:
             with pytest.raises(SensorError) as refused:
                 list(MjpegUrl(server.url.replace("//", "//eve:hidden@")))
             assert server.url in str(refused.value)
             assert "hidden" not in str(refused.value)
-    for url in (
-        server.url,
-        "http://eve:hidden@/x",
-        "http://eve:hidden@host:port/",
-        "http://eve:hidden@[::1/",
-    ):
+    gone = server.url.replace("//", "//eve:hidden@")
+    for url in (gone, "http://eve:hidden@/x", "http://eve:hidden@host:port/", "http://eve:hidden@[::1/"):
         with pytest.raises(SensorError) as refused:
-            MjpegUrl(url.replace("//127", "//eve:hidden@127"))
+            MjpegUrl(url)
         assert "hidden" not in str(refused.value)
 
 
+def with_length(length):
+    """A picture whose stated length is another."""
+    return part(RED).replace(f": {len(RED)}".encode(), b": " + length)
+
+
 FAULTS = {
-    "a length beyond reason": part(RED).replace(f": {len(RED)}".encode(), b": 67000000"),
-    "the same, and no line's end after it": part(RED).replace(f": {len(RED)}".encode(), b": 67000000")[:-2],
-    "a length of thousands of digits": part(RED).replace(f": {len(RED)}".encode(), b": " + b"9" * 5000),
-    "a length of nothing": part(RED).replace(f": {len(RED)}".encode(), b": 0"),
+    "a length beyond reason": with_length(b"67000000"),
+    "the same, and no line's end after it": with_length(b"67000000")[:-2],
+    "a length of thousands of digits": with_length(b"9" * 5000),
+    "a length of nothing": with_length(b"0"),
     "a header without its end": b"--frame\r\nContent-Type: image/jpeg\r\n",
     "a header that goes on": b"--frame\r\n" + b"X-Filler: a\r\n" * 100,
     "a boundary alone": b"--frame\r\n" * 3,
@@ -278,27 +270,20 @@ def test_a_wrong_length_on_the_way_keeps_the_connection():
         assert (len(server.requests), grabber.stats.reopened) == (1, 0)
 
 
-CHUNK = b"%x\r\n"
+JUNK = [b"x" * 100, 0.02] * 200
 STALLS = {
-    "bytes that are no pictures": (HEADER, [part(RED), 0.1, *[b"x" * 100, 0.02] * 200]),
-    "one picture that never ends": (
-        HEADER,
-        [part(RED), 0.1, part(RED, False)[:-40], *[b"x" * 100, 0.02] * 200],
-    ),
-    "a size line that never ends": (
-        CHUNKED,
-        [CHUNK % len(part(RED)) + part(RED), 0.1, *[b"0" * 9, 0.02] * 200],
-    ),
+    "bytes that are no pictures": (HEADER, part(RED), JUNK),
+    "one picture that never ends": (HEADER, part(RED), [part(RED, False)[:-40], *JUNK]),
+    "a size line that never ends": (CHUNKED, b"%x\r\n" % len(part(RED)) + part(RED), [b"0" * 9, 0.02] * 200),
 }
 
 
-@pytest.mark.parametrize("name", STALLS)
-def test_a_camera_that_sends_no_pictures_is_lost_though_it_sends(monkeypatch, name):
-    monkeypatch.setattr("gelform.sensors.mjpeg.PICTURE_S", 0.3)
-    monkeypatch.setattr("gelform.sensors.mjpeg.STALL_S", 0.3)
-    header, pieces = STALLS[name]
+@pytest.mark.parametrize(("header", "first", "pieces"), STALLS.values(), ids=STALLS)
+def test_a_camera_that_sends_no_pictures_is_lost_though_it_sends(monkeypatch, header, first, pieces):
+    for limit in ("PICTURE_S", "STALL_S"):
+        monkeypatch.setattr(f"gelform.sensors.mjpeg.{limit}", 0.3)
     with pytest.raises(SourceLostError, match=r"no whole picture|torn data|sizes of chunks"):
-        taken(pieces, 2, header)
+        taken([first, 0.1, *pieces], 2, header)
 
 
 def test_what_is_endless_takes_no_memory():
