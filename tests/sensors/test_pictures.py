@@ -1,10 +1,6 @@
-"""JPEG pictures: complete, truncated, and damaged in the middle, where a decoder fills the picture; size and pixels.
+"""JPEG and PNG: complete, truncated, damaged behind a right checksum or where a decoder fills the picture; with metadata.
 
-PNG files: complete, damaged behind a right checksum, and with metadata.
-
-What the header of a picture declares; more pixels than a sensor has are refused before they take memory.
-
-Images from the values of data sets and from arrays of numpy.
+What a header declares: more pixels than a sensor has take no memory. Images from values of data sets and arrays of numpy.
 """
 
 from __future__ import annotations
@@ -41,9 +37,8 @@ from kernel_agreement import assert_kernel_agrees
 from made.small_gel import Touch, image_of
 
 SMOOTH = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, (96, 128, 3), dtype=np.uint8), (0, 0), 2)
-GEL = cv2.resize(
-    image_of(Touch()), (320, 256), interpolation=cv2.INTER_CUBIC
-)  # smooth, with a camera's noise
+# Smooth, with a camera's noise.
+GEL = cv2.resize(image_of(Touch()), (320, 256), interpolation=cv2.INTER_CUBIC)
 SAMPLING = cv2.IMWRITE_JPEG_SAMPLING_FACTOR
 OPTIONS = {
     "usual": [],
@@ -137,11 +132,9 @@ def test_a_damaged_file_is_refused_in_one_line(tmp_path, capfd):
 
 
 def test_the_size_stands_in_the_header():
-    content = jpeg(SMOOTH[:48, :80])
-    assert jpeg_shape(content) == (48, 80)
-    assert jpeg_shape(b"\xff\xd8\xff\xfe\x00\x06abcd" + content[2:]) == (48, 80)
-    assert jpeg_shape(b"\xff\xd8 no picture at all") is None
-    assert jpeg_shape(b"") is None
+    content, comment = jpeg(SMOOTH[:48, :80]), b"\xff\xd8\xff\xfe\x00\x06abcd"
+    assert jpeg_shape(content) == jpeg_shape(comment + content[2:]) == (48, 80)
+    assert jpeg_shape(b"\xff\xd8 no picture at all") is jpeg_shape(b"") is None
 
 
 def test_a_torn_picture_is_none():
@@ -213,24 +206,19 @@ def test_a_profile_that_is_junk_neither_harms_nor_speaks(tmp_path, capfd):
 
 
 @pytest.mark.usefixtures("decompressor")
-@pytest.mark.parametrize(
-    "content",
-    [
-        CONTENT[:-13],
+def test_a_damaged_file_is_refused_in_one_line_of_png_bytes(tmp_path, capfd):
+    path = tmp_path / "image.png"
+    for content in (
+        CONTENT[:-13],  # no end
         CONTENT[:60],
         with_pixels_changed(lambda data: data[:40] + bytes([data[40] ^ 255]) + data[41:]),
         with_pixels_changed(lambda data: data[:-20]),
         with_pixels_changed(lambda data: b""),
-    ],
-    ids=["no end", "cut", "changed pixels", "fewer pixels", "no pixels"],
-)
-def test_a_damaged_file_is_refused_in_one_line_of_png_bytes(tmp_path, capfd, content):
-    path = tmp_path / "image.png"
-    path.write_bytes(content)
-    with pytest.raises(
-        gelform.DataError, match=r"image.png is truncated or damaged: .*\. Copy or record it again\."
     ):
-        gelform.read_image(path)
+        path.write_bytes(content)
+        said = r"image.png is truncated or damaged: .*\. Copy or record it again\."
+        with pytest.raises(gelform.DataError, match=said):
+            gelform.read_image(path)
     assert capfd.readouterr() == ("", "")
 
 
@@ -336,10 +324,7 @@ PICTURE = np.random.default_rng(0).integers(0, 256, (37, 91, 3), dtype=np.uint8)
 
 def png_bomb(side):
     """A PNG of a few kB that declares side x side pixels and holds the first rows."""
-    parts = [(b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0))]
-    parts += [(b"IDAT", zlib.compress(bytes(10**6), 9)), (b"IEND", b"")]
-    chunks = (struct.pack(">I", len(d)) + n + d + struct.pack(">I", zlib.crc32(n + d)) for n, d in parts)
-    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+    return png_of_stream(zlib.compress(bytes(10**6), 9), (side, side, 8, 2, 0, 0, 0))
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tiff", ".webp", ".ppm"])
@@ -381,14 +366,10 @@ def test_bombs_are_refused_before_they_take_memory(tmp_path, calibration):
     assert peak < 200e6
 
 
-def test_a_whole_frame_of_a_mini_is_still_refused_by_its_size(calibration):
+def test_a_whole_frame_of_a_mini_passes_and_a_jpeg_that_declares_four_gigapixels_is_torn(calibration):
     assert 25e6 <= calibration.most_pixels <= 200e6
-    check_declared(
-        cv2.imencode(".png", np.zeros((2464, 3280, 3), np.uint8))[1].tobytes(), calibration.most_pixels
-    )
-
-
-def test_a_jpeg_that_declares_four_gigapixels_is_torn():
+    whole = cv2.imencode(".png", np.zeros((2464, 3280, 3), np.uint8))[1].tobytes()
+    check_declared(whole, calibration.most_pixels)
     content = cv2.imencode(".jpg", PICTURE)[1].tobytes()
     at = content.index(b"\xff\xc0") + 5
     bomb = content[:at] + b"\xea\x60\xea\x60" + content[at + 4 :]
@@ -433,7 +414,7 @@ def test_arrays_of_numpy_are_images(tmp_path):
     for values, said in (
         (
             IMAGE_VALUES[..., 0],
-            r"array \(N, H, W, 3\) or one image \(H, W, 3\) of at most 200 megapixels, got \(6, 8\)",
+            r"array \(N, H, W, 3\) or one image .* of at most 200 megapixels, got \(6, 8\)",
         ),
         (np.moveaxis(IMAGE_VALUES, 2, 0), "Move the axis of the colors last"),
         (np.zeros((0, 6, 8, 3), np.uint8), r"got \(0, 6, 8, 3\)"),
