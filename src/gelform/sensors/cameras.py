@@ -24,6 +24,7 @@ from gelform.errors import SensorError, SourceLostError
 from gelform.foundations.checks import check_number
 from gelform.image.frame import Frame
 from gelform.sensors.pictures import MAX_TORN, image_from_jpeg, reduction_of
+from gelform.sensors.playback import Closing
 from gelform.sensors.profiles import SENSORS, KnownCamera
 
 NOTHING_THERE = (
@@ -356,7 +357,7 @@ def programs_that_hold(path: str) -> list[str]:
     return found
 
 
-class UsbCamera:
+class UsbCamera(Closing):
     """The frames of a USB camera, one of `cameras_there`, with these settings: width, height, fps, fourcc, exposure ...
 
     A known sensor's camera runs in its usual mode, any other camera in its current mode. Large frames that the camera sends
@@ -427,12 +428,6 @@ class UsbCamera:
         self._closed = True
         with self._lock:
             self._capture.release()
-
-    def __enter__(self) -> UsbCamera:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _frame(self, pixels: Array | None, time_s: float, wall_time_ns: int, index: int) -> Frame | None:
         """The RGB image, decoded if it is a JPEG; None if it is torn."""

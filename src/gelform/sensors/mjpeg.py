@@ -18,6 +18,7 @@ from urllib.parse import SplitResult, unquote, urlsplit
 from gelform.errors import SensorError, SourceLostError
 from gelform.image.frame import Frame
 from gelform.sensors.pictures import MAX_TORN, image_from_jpeg, jpeg_shape, reduction_of
+from gelform.sensors.playback import Closing
 
 OPEN_S = 2.0  # s, timeout for the connection and the first picture
 STALL_S = 1.0  # s without data until the camera counts as lost
@@ -41,7 +42,7 @@ def shown_address(spec: str) -> str:
     return f"{scheme}://" + _SECRET.sub(r"\1...", rest[secret + 1 :])
 
 
-class MjpegUrl:
+class MjpegUrl(Closing):
     """The frames of an MJPEG address, http:// or https://.
 
     If several pictures have arrived, the last one is decoded and the others count as dropped. A torn picture (without its
@@ -93,12 +94,6 @@ class MjpegUrl:
         """Close the connection."""
         self._closed = True
         self._body.close()
-
-    def __enter__(self) -> MjpegUrl:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _boundary(self, first: bytes) -> str:
         """The boundary from the header; without one, from the first line of the body."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -21,6 +21,7 @@ from gelform.image.frame import Frame, in_rgb
 from gelform.sensors.files import USUAL_RATE_HZ
 from gelform.sensors.pictures import check_declared, image_from_jpeg
 
+Own = TypeVar("Own", bound="Closing")
 FORMAT_VERSION = 1
 CALIBRATION, BACKGROUND = "calibration.npz", "background.png"
 # What a recording may carry, with its types.
@@ -148,7 +149,20 @@ class Film:
         raise NotImplementedError
 
 
-class Playback:
+class Closing:
+    """A source that the end of a `with` block closes."""
+
+    def __enter__(self: Own) -> Own:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        raise NotImplementedError
+
+
+class Playback(Closing):
     """A film, or other frames that end, as a source, with the facts of the camera as far as they are known.
 
     Each frame comes as fast as it can be read, with the file's `time_s`; paced, at the original pace and with `time_s` on
@@ -163,27 +177,20 @@ class Playback:
         self._closed = False
 
     def __iter__(self) -> Iterator[Frame]:
-        for frame in self._paced() if self.live else self._frames:
+        rate_hz, first_s = self.rate_hz or USUAL_RATE_HZ, None
+        pace = Pace(rate_hz)
+        for frame in self._frames:
+            if self.live:
+                first_s = frame.time_s if first_s is None else first_s
+                after_s = frame.time_s - first_s
+                if after_s > 0 and pace.late_s(after_s) > 1 / rate_hz:
+                    continue
+                time_s = pace.wait_until(after_s)
+                frame = replace(frame, time_s=time_s, wall_time_ns=frame.wall_time_ns or time.time_ns())
             if self._closed:
                 return
             yield frame
 
-    def _paced(self) -> Iterator[Frame]:
-        rate_hz, first_s = self.rate_hz or USUAL_RATE_HZ, None
-        pace = Pace(rate_hz)
-        for frame in self._frames:
-            first_s = frame.time_s if first_s is None else first_s
-            after_s = frame.time_s - first_s
-            if after_s <= 0 or pace.late_s(after_s) <= 1 / rate_hz:
-                time_s = pace.wait_until(after_s)
-                yield replace(frame, time_s=time_s, wall_time_ns=frame.wall_time_ns or time.time_ns())
-
     def close(self) -> None:
         """End the loop over this source."""
         self._closed = True
-
-    def __enter__(self) -> Playback:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

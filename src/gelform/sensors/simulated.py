@@ -19,7 +19,7 @@ from gelform.errors import SensorError
 from gelform.foundations.checks import check_positive
 from gelform.image.frame import Frame
 from gelform.sensors.files import read_toml
-from gelform.sensors.playback import Pace
+from gelform.sensors.playback import Closing, Pace
 from gelform.sensors.profiles import SENSORS
 from gelform.simulate import (
     Ball,
@@ -201,7 +201,7 @@ def serial_of_simulated(sensor: SimulatedSensor) -> str:
     return f"simulated-{sensor.name}"
 
 
-class SimulatedSource:
+class SimulatedSource(Closing):
     """Frames of a simulated sensor, evenly spaced in time, each with its own noise; late frames are skipped.
 
     A ball rolls, then a coin, a screw, letters and a ring are pressed, in a loop, until a press or rest is requested. Images
@@ -279,12 +279,6 @@ class SimulatedSource:
         self._closed.set()
         if self._ahead is not None:
             self._ahead.join(2.0)
-
-    def __enter__(self) -> SimulatedSource:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _levels_now(self, time_s: float) -> Array:
         """Linear gray levels (H, W, 3) of the current touch, before noise, response curve and rounding."""

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import struct
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -303,7 +302,7 @@ class Recording(Film):
         camera, self._topic = picture_topic_of(self._file)
         super().__init__(path, camera)
         self._channels: set[int] = set()
-        self._chunks: OrderedDict[int, list[Any]] = OrderedDict()
+        self._messages_at = lru_cache(maxsize=2)(self._messages_of)
 
     def _read(self) -> Iterator[Frame]:
         first_ns: int | None = None
@@ -345,13 +344,8 @@ class Recording(Film):
         image = image_from_encoded(content, reduction_in(self.camera.settings), where)
         return Frame(image, time_s, time_ns_of(picture), index, encoded)
 
-    def _messages_at(self, offset: int) -> list[Any]:
-        if offset not in self._chunks:
-            self._chunks[offset] = list(self._wanted(next(records_from(self._file, offset))[1]))
-            while len(self._chunks) > 2:
-                self._chunks.popitem(last=False)
-        self._chunks.move_to_end(offset)
-        return self._chunks[offset]
+    def _messages_of(self, offset: int) -> list[Any]:
+        return list(self._wanted(next(records_from(self._file, offset))[1]))
 
     def _wanted(self, inside: list[Any]) -> Iterator[Any]:
         """The topic's messages among records; also notes the numbers of its channels."""

@@ -11,7 +11,7 @@ from typing import Any
 
 from gelform.errors import DataError, GelformError
 from gelform.image.frame import Frame
-from gelform.sensors.playback import Film
+from gelform.sensors.playback import Closing, Film
 
 SLOWEST, FASTEST = 1 / 16, 16.0  # times the original pace
 
@@ -24,7 +24,7 @@ class ReplayedFrame(Frame):
     recorded_s: float = 0.0  # recording time, from the first frame
 
 
-class Player:
+class Player(Closing):
     """Plays a recording: at first from its start, at its own pace and once. `playing` says whether it is.
 
     A reader that is too slow gets the newest frame that is due. At a damaged frame playing stops, and `problem` gives
@@ -132,12 +132,6 @@ class Player:
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-
-    def __enter__(self) -> Player:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     # -- the pace -----------------------------------------------------------------------------------------------------
 

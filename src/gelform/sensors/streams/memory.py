@@ -110,11 +110,6 @@ class StreamFrame:
     against_rest: Reconstruction  # from which the memory learns; another than `result` only if a zero was set
 
 
-def untimed(_: str) -> AbstractContextManager[None]:
-    """A clock for those who need no times."""
-    return nullcontext()
-
-
 class Memory:
     """A function of the images and results of one sequence, in order; times come from the frames.
 
@@ -174,7 +169,9 @@ class Memory:
         self.learn(image, result)
         return result
 
-    def reconstructed(self, frame: Frame, timed: Timed = untimed, *, alone: bool = False) -> StreamFrame:
+    def reconstructed(
+        self, frame: Frame, timed: Timed = lambda _: nullcontext(), *, alone: bool = False
+    ) -> StreamFrame:
         """The result of a frame, after `remembered`, against the zero; `timed(stage)` times a block.
 
         `alone` leaves the sequence's findings, markers and smoothing out, as for a frame of a recording, whose frames may
@@ -205,8 +202,14 @@ class Memory:
             return (*result.health, *frozen, *(finding for finding in standing if finding.name not in own))
 
         found = result.changed(health=Later(health))
-        if frozen:
-            return _unknown_by_now(self.reconstruct, found)
+        if frozen:  # the image is a hanging camera's: depth stays, but is known nowhere
+            nothing = _unusable(self.reconstruct, found.health[-1])
+            return found.changed(
+                depth_sigma_mm=None if found.depth_sigma_mm is None else nothing.depth_sigma_mm,
+                gradients_sigma=nothing.gradients_sigma,
+                confidence=nothing.confidence,
+                known=nothing.known,
+            )
         return found if self._smoothing is None else self._smoothing(found)
 
     def learn(self, image: Array, result: Reconstruction) -> None:
@@ -320,15 +323,4 @@ def _unusable(reconstruct: Reconstructor, finding: Finding) -> Reconstruction:
         mm_per_px_sigma=calibration.mm_per_px_sigma,
         health=(*reconstruct.findings, finding),
         calibration_digest=calibration.digest,
-    )
-
-
-def _unknown_by_now(reconstruct: Reconstructor, result: Reconstruction) -> Reconstruction:
-    """The result of an image that a hanging camera repeats: unchanged, but known nowhere."""
-    nothing = _unusable(reconstruct, result.health[-1])
-    return result.changed(
-        depth_sigma_mm=nothing.depth_sigma_mm if result.depth_sigma_mm is not None else None,
-        gradients_sigma=nothing.gradients_sigma,
-        confidence=nothing.confidence,
-        known=nothing.known,
     )

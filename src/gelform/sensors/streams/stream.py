@@ -359,20 +359,16 @@ class Stream:
         while given is None or self._left_s(given, max_age_s) < 0:
             given = newest(-1 if given is None else given.index, max(0.0, deadline - time.monotonic()))
             if given is None:
-                raise self._stale(max_age_s)
+                stats = self.stats
+                raise StaleError(
+                    f"Expected a result at most {max_age_s:g} s old, the newest is {stats.age_s:.3g} s old. "
+                    f"The stream is {stats.state}{f': {stats.reason}' if stats.reason else '.'}"
+                )
         return given.result
 
     def _left_s(self, given: StreamFrame, max_age_s: float) -> float:
         """How long a result stays young enough, negative if it is too old; results of recordings have no age."""
         return 0.0 if self._pipeline.feed.every else max_age_s - (time.monotonic() - given.time_s)
-
-    def _stale(self, max_age_s: float) -> StaleError:
-        stats = self.stats
-        why = f": {stats.reason}" if stats.reason else "."
-        return StaleError(
-            f"Expected a result at most {max_age_s:g} s old, the newest is {stats.age_s:.3g} s old. "
-            f"The stream is {stats.state}{why}"
-        )
 
     def image_of(self, result: Reconstruction) -> Array:
         """The image (H, W, 3), RGB, after the view, of one of the last results.
