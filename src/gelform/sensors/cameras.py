@@ -61,17 +61,21 @@ def chosen_camera(spec: str, cameras: Sequence[Camera]) -> Camera:
     none = f"No camera {spec!r}, and no file or folder of that name."
     if not cameras:
         raise SensorError(NOTHING_THERE if not spec else f"{none} {NOTHING_THERE}")
-    if not spec:
-        return _only(list(cameras), "Several cameras are plugged in", cameras)
-    folded = spec.casefold()
-    for matches in (
-        [camera for camera in cameras if camera.serial == spec],
-        [camera for camera in cameras if camera.name == spec],
-        [camera for camera in cameras if camera.kind == folded or folded in camera.name.casefold()],
-        [camera for camera in cameras if spec in (camera.path, camera.by_path)],
+    folded, answer = spec.casefold(), f"Several cameras answer to {spec!r}"
+    for several, matches in (
+        ("Several cameras are plugged in", [camera for camera in cameras if not spec]),
+        (answer, [camera for camera in cameras if camera.serial == spec]),
+        (answer, [camera for camera in cameras if camera.name == spec]),
+        (answer, [camera for camera in cameras if camera.kind == folded or folded in camera.name.casefold()]),
+        (answer, [camera for camera in cameras if spec in (camera.path, camera.by_path)]),
     ):
+        if len(matches) == 1:
+            return matches[0]
         if matches:
-            return _only(matches, f"Several cameras answer to {spec!r}", cameras)
+            serials = [camera.serial for camera in matches]
+            unique = None not in serials and len(set(serials)) == len(serials)
+            by = "serial" if unique else "path (the one by its socket stays the same)"
+            raise SensorError(f"{several}: name one by its {by}. Plugged in: {listed_cameras(cameras)}.")
     said = almost(spec, (camera.serial for camera in cameras))
     raise SensorError(f"{none}{said} Plugged in: {listed_cameras(cameras)}.")
 
@@ -96,15 +100,6 @@ def listed_cameras(cameras: Sequence[Camera]) -> str:
     return "; ".join(camera.described() for camera in cameras)
 
 
-def _only(matches: list[Camera], several: str, cameras: Sequence[Camera]) -> Camera:
-    if len(matches) == 1:
-        return matches[0]
-    serials = [camera.serial for camera in matches]
-    unique = None not in serials and len(set(serials)) == len(serials)
-    by = "serial" if unique else "path (the one by its socket stays the same)"
-    raise SensorError(f"{several}: name one by its {by}. Plugged in: {listed_cameras(cameras)}.")
-
-
 def cameras_in_sysfs(root: Path = Path("/")) -> list[Camera]:
     """The cameras of this machine, ordered by number; `root` contains sys and dev."""
     by_path = root / "dev/v4l/by-path"
@@ -112,12 +107,8 @@ def cameras_in_sysfs(root: Path = Path("/")) -> list[Camera]:
     sockets = {link.resolve().name: f"/dev/v4l/by-path/{link.name}" for link in reversed(links)}
     entries = (root / "sys/class/video4linux").glob("video*")
     first = [entry for entry in entries if _text(entry / "index") in ("0", None)]  # others hold its metadata
-    return [_camera(entry, sockets.get(entry.name)) for entry in sorted(first, key=_number)]
-
-
-def _number(entry: Path) -> int:
-    digits = re.search(r"\d+$", entry.name)
-    return int(digits.group()) if digits else 0
+    first.sort(key=lambda entry: list(map(int, re.findall(r"\d+$", entry.name))))
+    return [_camera(entry, sockets.get(entry.name)) for entry in first]
 
 
 def _camera(entry: Path, socket: str | None) -> Camera:
@@ -125,12 +116,11 @@ def _camera(entry: Path, socket: str | None) -> Camera:
     device = (entry / "device").resolve()
     above = (device, *device.parents[:3])
     usb = next((folder for folder in above if (folder / "idVendor").is_file()), None)
-    told = {
-        name: _text(usb / name) if usb else None for name in ("idVendor", "idProduct", "product", "serial")
-    }
-    usb_id = f"{told['idVendor']}:{told['idProduct']}" if told["idVendor"] and told["idProduct"] else None
-    name = told["product"] or _text(entry / "name") or entry.name
-    return Camera(name, f"/dev/{entry.name}", told["serial"] or None, usb_id, socket, kind_of(usb_id))
+    files = ("idVendor", "idProduct", "product", "serial")
+    vendor, product, name, serial = (_text(usb / file) if usb else None for file in files)
+    usb_id = f"{vendor}:{product}" if vendor and product else None
+    name = name or _text(entry / "name") or entry.name
+    return Camera(name, f"/dev/{entry.name}", serial or None, usb_id, socket, kind_of(usb_id))
 
 
 def kind_of(usb_id: str | None) -> str | None:
@@ -375,10 +365,8 @@ class UsbCamera(Closing):
             check_access(camera)
         known = SENSORS[camera.kind].camera if camera.kind is not None else None
         self._led_levels = known.led_levels if known else 0
-        self.camera, self.name = camera, camera.name
-        self.serial = camera.serial
-        self._lock = threading.Lock()
-        self._closed = False
+        self.camera, self.name, self.serial = camera, camera.name, camera.serial
+        self._lock, self._closed = threading.Lock(), False
         self._capture = _opened(camera)
         with ExitStack() as undone:
             undone.callback(self._capture.release)
@@ -460,15 +448,12 @@ class UsbCamera(Closing):
 
 def fourcc_text(code: float) -> str:
     """The four letters of a picture format; empty if there are none."""
-    number = int(code) if code > 0 else 0
-    return number.to_bytes(8, "little")[:4].decode("latin-1").rstrip("\0 ")
+    return int(max(0, code)).to_bytes(8, "little")[:4].decode("latin-1").rstrip("\0 ")
 
 
 def _opened(camera: Camera) -> cv2.VideoCapture:
-    if sys.platform.startswith("linux"):
-        capture = cv2.VideoCapture(camera.path, cv2.CAP_V4L2)
-    else:
-        capture = cv2.VideoCapture(int(camera.path))
+    is_linux = sys.platform.startswith("linux")
+    capture = cv2.VideoCapture(camera.path, cv2.CAP_V4L2) if is_linux else cv2.VideoCapture(int(camera.path))
     if not capture.isOpened():
         raise in_use(camera)
     return capture
