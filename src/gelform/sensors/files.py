@@ -407,13 +407,13 @@ def averaged_background(paths: str | Path | Sequence[str | Path]) -> Background:
         raise DataError(f"Images of the gel at rest in {files[0].parent}: {problem}") from problem
 
 
-def background_in(folder: Path, stem: str = "background") -> Path:
-    """The image with that stem in a folder, or a folder of that name with several images."""
-    named = (p for p in folder.glob(f"{stem}*") if p.stem == stem)
+def background_in(folder: Path) -> Path:
+    """The image background.* in a folder, or a folder of that name with several images."""
+    named = (p for p in folder.glob("background*") if p.stem == "background")
     found = sorted(p for p in named if p.suffix.lower() in IMAGE_SUFFIXES or is_npy(p) or p.is_dir())
     if not found:
         raise DataError(
-            f"No background in {folder}: expected {stem}.png, an image of the gel at rest. "
+            f"No background in {folder}: expected background.png, an image of the gel at rest. "
             f"{likely_background(folder) or 'Take one, or name it with background= (--background).'}"
         )
     return found[0]
@@ -425,7 +425,7 @@ def likely_background(folder: Path) -> str:
     found = [p for one in places for p in sorted(one.iterdir()) if is_likely_background(p)]
     if not found:
         return ""
-    named = " or ".join(str(path) for path in found[:3])
+    named = " or ".join(map(str, found[:3]))
     return f"By its name it is {named}. Name it with background= (--background {found[0]})."
 
 

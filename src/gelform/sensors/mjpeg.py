@@ -23,10 +23,8 @@ from gelform.sensors.playback import Closing
 OPEN_S = 2.0  # s, timeout for the connection and the first picture
 STALL_S = 1.0  # s without data until the camera counts as lost
 PICTURE_S = 5.0  # s without a whole picture, whatever else arrives: a large one over a slow network takes 3
-RECEIVE_BYTES, MAX_WAITING_BYTES = 2**20, 2**23  # bytes of one call; bytes read at once at most
-MAX_SIZE_LINE = 1024  # bytes of the line with the size of a chunk
+RECEIVE_BYTES = 2**20  # of one call
 MAX_PART_BYTES, MAX_PART_HEADER_BYTES = 2**26, 2**14  # limits of a picture and its header
-MAX_DASHES = 16  # bytes before a boundary's own two dashes: the line end, and dashes that servers add
 _SECRET = re.compile(r"([?&][^=&]*(?:pass|pwd|token|key|secret)[^=&]*=)[^&#]*", re.IGNORECASE)
 _LENGTH = re.compile(rb"content-length:\s*(\d{1,12})", re.IGNORECASE)
 
@@ -188,7 +186,7 @@ class HttpBody:
         try:
             self._socket.settimeout(timeout_s)
             received = bytearray(self._response.read1(RECEIVE_BYTES))
-            while received and len(received) < MAX_WAITING_BYTES:
+            while received and len(received) < 8 * RECEIVE_BYTES:
                 decrypted = isinstance(self._socket, ssl.SSLSocket) and self._socket.pending()
                 is_ready = decrypted or select.select([self._socket], [], [], 0)[0]
                 more = self._response.read1(RECEIVE_BYTES) if is_ready else b""
@@ -239,7 +237,7 @@ class Dechunker:
         """Read a size line, and the line end of the previous chunk; False if it is incomplete."""
         start = 2 if self._bytes.startswith(b"\r\n") else 0
         end = self._bytes.find(b"\r\n", start)
-        if end < 0 and len(self._bytes) > MAX_SIZE_LINE:
+        if end < 0 and len(self._bytes) > 1024:
             raise SourceLostError(
                 f"Expected the size of a chunk, got {len(self._bytes)} bytes without one: torn data."
             )
@@ -365,5 +363,6 @@ class PartSplitter:
             del self._bytes[:end]
             self._searched = 0
             return part
-        self._searched = max(body, len(self._bytes) - len(self._boundary) - MAX_DASHES)
+        # 16 bytes before a boundary's own two dashes: the line end, and dashes that servers add.
+        self._searched = max(body, len(self._bytes) - len(self._boundary) - 16)
         return None

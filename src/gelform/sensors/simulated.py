@@ -41,12 +41,7 @@ from gelform.simulate.sensor.sensor import Coating, Led, Optics, Timing, led_col
 SECTIONS = {"gel": Gel, "coating": Coating, "optics": Optics, "timing": Timing}
 OWN_KEYS = ("base", "exposed_levels")
 LED_KEYS = ("peak_nm", "width_nm", "power")
-KINDS: tuple[tuple[str, Any], ...] = (
-    ("true or false", bool),
-    ("a number", (int, float)),
-    ("text", str),
-    ("a list", (list, tuple)),
-)
+KINDS: Any = (("true or false", bool), ("a number", (int, float)), ("text", str), ("a list", (list, tuple)))
 
 
 def simulated_sensor_named(name: str) -> SimulatedSensor:

@@ -35,7 +35,6 @@ METADATA_FILE, METADATA_KEY = "metadata.yaml", "rosbag2_bagfile_information"
 # Bytes of a record or a decompressed chunk; a larger one is damaged and would fill the memory.
 MAX_RECORD_BYTES = 256 * 2**20
 SAMPLED_RECORDS = 200  # records that are read to find which pictures a file contains
-DEPTH_SUFFIX = "/compressedDepth"  # of image_transport: the message type is a picture's, the content is not a plain picture
 
 
 def is_bag_folder(path: Path) -> bool:
@@ -235,7 +234,9 @@ def picture_topic_of(path: Path) -> tuple[RecordingFacts, PictureTopic]:
         if type(record).__name__ == "Metadata" and record.name == METADATA:
             facts = RecordingFacts.from_json(record.metadata.get("facts", ""), str(path))
         elif isinstance(record, Channel):
-            readable = record.encoding == MESSAGE_ENCODING and not record.topic.endswith(DEPTH_SUFFIX)
+            # image_transport's compressed depth has the message type of a picture.
+            is_depth = record.topic.endswith("/compressedDepth")
+            readable = record.encoding == MESSAGE_ENCODING and not is_depth
             if readable and record.schema == RAW_SCHEMA_NAME:
                 encodings[record.topic] = ""
             else:

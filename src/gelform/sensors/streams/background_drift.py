@@ -31,12 +31,10 @@ STEP_S, MEAN_S = 1.0, 3.0  # s: interval of the light's fits, and averaging time
 MEAN_IMAGE_S = 10.0  # s over which frames are averaged before they wait
 BEFORE_S, AFTER_S = 30.0, 60.0  # s before and after a mean image in which nothing may touch
 FOLLOW_S = 60.0  # s, time constant of adding mean images
-LONGEST_GAP_S = 5.0  # s without a frame, after which the past is unknown
 LEAST_FREE = 0.9  # fraction of the blocks that must be free of contact to fit the light, which the gel's halo resembles
 NO_MEASURE = {"beyond_gel", "dark", "exposure_unknown", "frozen", "saturated", "torn"}
 DIFFERENT = {"background_differs", "few_untouched", "not_this_gel"}  # contact all over, or another gel
 PER_GRAY_LEVEL = 256  # steps per gray level of a waiting mean image
-WHITE = 255.0  # largest gray level of a camera; the fitted light can exceed it
 
 TOUCH_SIGMAS = 5.0  # standard deviations of noise by which a touched block changes
 LEAST_CHANGE = 0.0025  # fraction of a block's brightness: slopes of about 0.2 %
@@ -105,7 +103,9 @@ class BackgroundDrift:
     def __call__(self, image: Array, result: Reconstruction) -> Map | None:
         """Learn from a frame; the background (H, W, 3) if it has changed, else None."""
         time_s = result.time_s or 0.0
-        if self._last_s is None or not 0 <= time_s - self._last_s <= LONGEST_GAP_S:  # the past is unknown
+        if (
+            self._last_s is None or not 0 <= time_s - self._last_s <= 5.0
+        ):  # s without a frame: the past is unknown
             self.touched.everywhere(time_s)
             self._forget(time_s)
         self._last_s = time_s
@@ -180,7 +180,8 @@ class BackgroundDrift:
         self._step_s = time_s
         self._blocks[:], self._count = 0, 0
         self._contact[:] = False
-        return np.asarray(np.clip(lit(self._local, self.light), 0, WHITE), dtype=np.float32)
+        # The fitted light can exceed a camera's largest gray level.
+        return np.asarray(np.clip(lit(self._local, self.light), 0, 255), dtype=np.float32)
 
     def _follow(self, blocks: Map, free: float) -> None:
         """Follow the light of blocks (h, w, 3), of which this part is free of contact and the others are 0."""

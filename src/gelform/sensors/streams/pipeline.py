@@ -18,9 +18,6 @@ from gelform.sensors.grabber import Grabber, Newest
 from gelform.sensors.source import Source, checked_frame, open_source
 from gelform.sensors.streams.memory import Timed, Work
 
-WAKE_S = 0.2  # s, longest wait for a frame before a request to stop is checked
-PAUSED_S = 0.05  # s between checks whether the pause is over
-
 SourceLike = str | PathLike[str] | Source | Callable[[], Source] | Grabber
 
 
@@ -73,9 +70,9 @@ class NewestFrames:
     def next(self, after_index: int) -> Frame | None:
         if self._paused():
             self._waited = True
-            time.sleep(PAUSED_S)
+            time.sleep(0.05)  # s between checks whether the pause is over
             return None
-        frame = self._grabber.newest(after_index, WAKE_S)
+        frame = self._grabber.newest(after_index, 0.2)  # s, before a request to stop is checked
         if frame is not None:
             before, self._lost = self._lost, self._grabber.stats.drops
             missing = frame.index - after_index - 1 - (self._lost - before)
@@ -135,7 +132,6 @@ def feed_from_source(source: SourceLike) -> Feed:
 
 RECENT = 120  # frames over which rates and times are measured
 STALE_S = 1.0  # s without a result until the rate of a sensor is 0
-JOIN_S = 2.0  # s per thread at close; a thread that hangs in a device ends with the process
 
 Value = TypeVar("Value")
 
@@ -248,7 +244,7 @@ class Pipeline(Generic[Value]):
         self.feed.close()
         for thread in self._threads:
             if thread.ident is not None:
-                thread.join(JOIN_S)
+                thread.join(2.0)  # s; one that hangs in a device ends with the process
 
     def _end(self, error: BaseException | None = None) -> None:
         self.results.end(error)

@@ -25,13 +25,10 @@ from gelform.sensors.streams.background_drift import DriftEvidence
 SMOOTH_PX, WIDE_PX = 1.0, 8.0  # px, widths of the blur of the image and of its surroundings
 MARK_SIGMAS, LEAST_MARK_CHANGE = 6.0, 0.04  # standard deviations of noise; least fraction of the brightness
 MARK_STAYS = 3  # consecutive evidences, about ten seconds each
-LEAST_AREA_PX = 4  # px; a smaller area is noise
 LONG_PX, THIN = 10.0, 0.4  # a scratch: least length, px, and largest width / length; or ...
 GROOVE_THIN, BOTH_SIGNS = 0.6, 0.4  # ... width / length, if it is bright on one side and dark on the other
 TORN, TORN_AREA = 0.2, 0.0045  # a tear: fraction of the brightness, all channels; of the image
 DARK = 0.06  # mean loss of light by dust, a fraction; a slight bright spot does no harm
-CONTACT_AROUND = 0.5  # fraction of a mark's surroundings in contact; above it an object rests there
-AROUND_PX = 8  # px, width of a mark's surroundings
 BODY_PX = 15  # px; a wider contact is an object
 
 
@@ -114,16 +111,16 @@ def _marks(where: Mask, change: Map, contact: Mask) -> list[Mark]:
     marks = []
     for label in range(1, count):
         area = int(boxes[label][cv2.CC_STAT_AREA])
-        if area < LEAST_AREA_PX:
+        if area < 4:  # px: noise
             continue
         mine = labels == label
         name, length = _kind(mine, change[mine], area)
         brighter = float(change[mine].mean())
         if name == "dust" and brighter > -DARK:
             continue
-        around = _dilated(mine, AROUND_PX) & ~mine
-        # Inside a wide contact an object rests on the gel, and the gel itself is unchanged.
-        if name == "tear" or not float(contact[around].mean()) > CONTACT_AROUND:
+        around = _dilated(mine, 8) & ~mine  # px
+        # With contact in half of its surroundings, an object rests on the gel, and the gel itself is unchanged.
+        if name == "tear" or not float(contact[around].mean()) > 0.5:
             marks.append(Mark(name, area, length, brighter))
     return marks
 
@@ -150,9 +147,7 @@ MARGIN_PX = 12  # px at the border that a blur distorts
 # Correlation of the texture: least expected one, least fraction of it for the same gel, and the limit of that product.
 # The fraction is small because a touch adds its own texture.
 LEAST_EXPECTED, SAME_FRACTION, SAME_GEL = 0.08, 0.4, 0.07
-LEAST_FREE = 0.15  # fraction of the image that must be free of contact
 PATTERN = 0.02  # fraction of the brightness, not explained by smooth light: median over blocks
-PATTERN_PX = 16  # px, width of these blocks
 MOSTLY_DIFFERENT, GEL_STAYS = 0.9, 3  # fraction of the frames of about ten seconds; consecutive times
 OTHER_STAYS = 2  # consecutive times: a step of the light is not followed at once
 
@@ -175,7 +170,7 @@ class SameGel:
             return _other_gel("Nearly all of the image has differed from the background image for long", 0.0)
         free = ~evidence.touched
         free[:MARGIN_PX] = free[-MARGIN_PX:] = free[:, :MARGIN_PX] = free[:, -MARGIN_PX:] = False
-        if free.mean() < LEAST_FREE:
+        if free.mean() < 0.15:  # too little of the image to compare
             return ()
         if moved := self._moved(evidence):
             return moved
@@ -201,7 +196,7 @@ class SameGel:
     def _other_pattern(self, evidence: DriftEvidence) -> tuple[Finding, ...]:
         """A change of brightness nearly everywhere that smooth light does not explain."""
         height, width = evidence.touched.shape
-        size = max(1, width // PATTERN_PX), max(1, height // PATTERN_PX)
+        size = max(1, width // 16), max(1, height // 16)  # blocks of 16 px
         ratio = (evidence.image + 1) / (evidence.lit + 1) - 1
         blocks = cv2.resize(ratio, size, interpolation=cv2.INTER_AREA)
         free = cv2.resize(evidence.touched.astype(np.float32), size, interpolation=cv2.INTER_AREA) < 0.5
