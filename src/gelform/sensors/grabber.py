@@ -146,11 +146,7 @@ class Grabber:
     """
 
     def __init__(
-        self,
-        source: str | PathLike[str] | Callable[[], Source],
-        *,
-        keep: int = 1,
-        stall_s: float = STALL_S,
+        self, source: str | PathLike[str] | Callable[[], Source], *, keep: int = 1, stall_s: float = STALL_S
     ) -> None:
         check_within(keep, "keep", 1, 1_000_000)
         self._open = source if callable(source) else partial(open_source, source)

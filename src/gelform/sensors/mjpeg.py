@@ -225,32 +225,28 @@ class Dechunker:
         self._bytes += data
         content = []
         while self._bytes and not self.ended:
-            if self._left == 0 and not self._next_chunk():
-                break
+            if self._left == 0:  # a size line, and the line end of the previous chunk
+                start = 2 if self._bytes.startswith(b"\r\n") else 0
+                end = self._bytes.find(b"\r\n", start)
+                if end < 0 and len(self._bytes) > 1024:
+                    raise SourceLostError(
+                        f"Expected the size of a chunk, got {len(self._bytes)} bytes without one: torn data."
+                    )
+                if end < 0:  # incomplete
+                    break
+                text = bytes(self._bytes[start:end]).split(b";")[0].strip()
+                try:
+                    self._left = int(text, 16)
+                except ValueError:
+                    said = f"Expected the size of a chunk, got {text[:20]!r}: torn data."
+                    raise SourceLostError(said) from None
+                del self._bytes[: end + 2]
+                self.ended = self._left == 0
             taken = bytes(self._bytes[: self._left])
             del self._bytes[: len(taken)]
             self._left -= len(taken)
             content.append(taken)
         return b"".join(content)
-
-    def _next_chunk(self) -> bool:
-        """Read a size line, and the line end of the previous chunk; False if it is incomplete."""
-        start = 2 if self._bytes.startswith(b"\r\n") else 0
-        end = self._bytes.find(b"\r\n", start)
-        if end < 0 and len(self._bytes) > 1024:
-            raise SourceLostError(
-                f"Expected the size of a chunk, got {len(self._bytes)} bytes without one: torn data."
-            )
-        if end < 0:
-            return False
-        text = bytes(self._bytes[start:end]).split(b";")[0].strip()
-        try:
-            self._left = int(text, 16)
-        except ValueError:
-            raise SourceLostError(f"Expected the size of a chunk, got {text[:20]!r}: torn data.") from None
-        del self._bytes[: end + 2]
-        self.ended = self._left == 0
-        return not self.ended
 
 
 def _connected(place: SplitResult, port: int, timeout_s: float) -> socket.socket:
@@ -289,10 +285,8 @@ def _answer_to(place: SplitResult, connected: socket.socket, url: str) -> HTTPRe
         raise SensorError(f"{url} does not answer: {_said(problem)}.") from problem
     if response.status != 200:
         response.close()
-        moved, remedy = (
-            shown_address(response.headers.get("Location") or ""),
-            "Check the path of the address.",
-        )
+        remedy = "Check the path of the address."
+        moved = shown_address(response.headers.get("Location") or "")
         if response.status == 401:
             remedy = "Put the camera's user and password before the host: http://user:password@host/..."
         elif moved:

@@ -110,11 +110,7 @@ class RecordStats:
 
 
 def new_recording(
-    path: Path,
-    grabber: Grabber,
-    *,
-    calibration_digest: str = "",
-    attached: Mapping[str, bytes] | None = None,
+    path: Path, grabber: Grabber, *, calibration_digest: str = "", attached: Mapping[str, bytes] | None = None
 ) -> McapRecording:
     """A new recording for a grabber.
 
@@ -132,10 +128,8 @@ def new_recording(
     """
     if path.suffix.lower() != ".mcap":
         raise DataError(f"Expected a new file *.mcap, got {path}. A recording is written as MCAP.")
-    rate = grabber.source.rate_hz
-    facts = RecordingFacts(
-        grabber.name, grabber.serial, grabber.settings, rate, calibration_digest, __version__
-    )
+    name, serial, settings, rate_hz = grabber.name, grabber.serial, grabber.settings, grabber.source.rate_hz
+    facts = RecordingFacts(name, serial, settings, rate_hz, calibration_digest, __version__)
     return McapRecording(path, facts, attached)
 
 
