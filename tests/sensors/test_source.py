@@ -1,12 +1,10 @@
-"""One interface to every source of frames; files and videos play in order, with their times and pace, or give an error.
-
-The newest frame, gaps, and a source that is lost and reopened.
-"""
+"""One interface to every source of frames: files and videos in order, at their pace; the newest one of a lost source."""
 
 import queue
 import re
 import threading
 import time
+from functools import partial
 
 import cv2
 import numpy as np
@@ -27,23 +25,19 @@ from made import sources
 from made.sources import ImageSource
 
 
-def test_a_folder_and_what_cannot_be_set(tmp_path):
-    cv2.imwrite(str(tmp_path / "0.png"), np.zeros((4, 4, 3), np.uint8))
-    assert [frame.index for frame in open_source(tmp_path)] == [0]
+def test_a_folder_also_of_blue_green_red_and_what_cannot_be_set(tmp_path):
+    image = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
+    cv2.imwrite(str(tmp_path / "0.png"), image)  # it takes the array as blue, green, red
+    ((frame,), (other,)) = (open_source(tmp_path, bgr=bgr) for bgr in (False, True))
+    np.testing.assert_array_equal(frame.image, image[..., ::-1])
+    np.testing.assert_array_equal(other.image, image)
+    with open_source(tmp_path, bgr=True) as source:
+        assert (source.name, source.live, other.encoded) == (tmp_path.name, False, None)
     assert open_source(str(tmp_path), paced=True).live
     for spec in ("simulated", tmp_path):
         with pytest.raises(SensorError, match="is no USB camera: exposure cannot be set"):
             open_source(spec, settings={"exposure": 5})
         open_source(spec, settings={}).close()
-
-
-def test_frames_of_blue_green_red_are_given_as_rgb(tmp_path):
-    image = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
-    cv2.imwrite(str(tmp_path / "0.png"), image)  # it takes the array as blue, green, red
-    with open_source(tmp_path, bgr=True) as source:
-        (frame,) = source
-    np.testing.assert_array_equal(frame.image, image)
-    assert (source.name, source.live, frame.encoded) == (open_source(tmp_path).name, False, None)
 
 
 def test_what_is_no_source_says_what_is(tmp_path, monkeypatch):
@@ -58,6 +52,10 @@ def test_what_is_no_source_says_what_is(tmp_path, monkeypatch):
         ("D20123", SensorError, r"No camera.*plugged in"),
         ("", SensorError, r"No camera.*plugged in"),
         ("/dev/video77", SensorError, r"No camera.*plugged in"),
+        *(
+            (address, SensorError, r"begins with http:// or https:// .*got \w+://.*ffmpeg")
+            for address in ("rtsp://10.0.0.7/stream", "udp://@:5000", "file:///tmp/a.mp4")
+        ),
     ):
         with pytest.raises(error, match=said):
             open_source(spec)
@@ -169,10 +167,8 @@ def write(path, frames, rate_hz=25.0):
 def smooth():
     """Smooth, colored, no two alike."""
     y, x = np.mgrid[0:48, 0:64]
-    return [
-        np.stack([2 * x + k, 3 * y, 200 - 2 * x - k], axis=-1).clip(0, 255).astype(np.uint8)
-        for k in range(12)
-    ]
+    stacks = (np.stack([2 * x + k, 3 * y, 200 - 2 * x - k], axis=-1) for k in range(12))
+    return [stack.clip(0, 255).astype(np.uint8) for stack in stacks]
 
 
 def test_frames_are_rgb_in_order_with_times_also_in_part(tmp_path, smooth):
@@ -210,18 +206,11 @@ def test_no_file_empty_file_no_video_and_a_truncated_one(tmp_path, smooth):
             list(gelform.Video(tmp_path / "a.avi"))
 
 
-def test_an_address_of_another_kind_says_what_is_read_instead():
-    for address in ("rtsp://10.0.0.7/stream", "udp://@:5000", "file:///tmp/a.mp4"):
-        with pytest.raises(SensorError, match=r"begins with http:// or https:// .*got \w+://.*ffmpeg"):
-            gelform.open_source(address)
-
-
 IMAGE = np.zeros((4, 4, 3), np.uint8)
 WAIT_S = 5.0  # longest wait for what must happen at once
 
 
-def awaited(condition):
-    until(condition, WAIT_S)
+awaited = partial(until, timeout_s=WAIT_S)
 
 
 class Device:
@@ -398,16 +387,12 @@ def test_age_and_rate_are_of_the_capture(device):
         assert least_s <= grabber.stats.age_s <= time.monotonic() - started - 10 / 50
 
 
-def test_takes_what_open_source_takes():
+def test_it_needs_to_be_entered_and_a_source_that_opens_as_open_source_takes_it(device):
     with Grabber("simulated") as grabber:
         assert grabber.newest(-1, WAIT_S).image.shape == (240, 320, 3)
-        assert grabber.name == "simulated three-edges"
+        assert (grabber.name, grabber.serial) == ("simulated three-edges", "simulated-three-edges")
         assert grabber.settings["fps"] == 60.0
-        assert grabber.serial == "simulated-three-edges"
     assert grabber.state == "ended"
-
-
-def test_it_needs_a_source_that_opens_and_to_be_entered(device):
     with pytest.raises(RuntimeError, match="with Grabber"):
         _ = Grabber(device.open).name
     for keep in (0, 2**70):
