@@ -15,15 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gelform import __version__
+from gelform import Calibration, DataError, Frame, GelformError, Grabber, __version__, load_calibration
 from gelform.arrays import Map
-from gelform.calibration_file import Calibration, load_calibration
-from gelform.errors import DataError, GelformError
 from gelform.foundations.files import check_free
 from gelform.foundations.findings import Progress, no_progress
 from gelform.foundations.pictures import picture_bytes
-from gelform.image.frame import Frame
-from gelform.sensors.grabber import Grabber
 from gelform.sensors.playback import (
     ATTACHABLE,
     BACKGROUND,

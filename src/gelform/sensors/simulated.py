@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from gelform import simulate
 from gelform.arrays import Array, Image
 from gelform.errors import SensorError
 from gelform.foundations.checks import check_positive
@@ -21,24 +22,15 @@ from gelform.image.frame import Frame
 from gelform.sensors.files import read_toml
 from gelform.sensors.playback import Closing, Pace
 from gelform.sensors.profiles import SENSORS
-from gelform.simulate import (
-    Ball,
-    Coin,
-    Indenter,
-    Pose,
-    Screw,
-    SimulatedSensor,
-    Torus,
-    simulate_pose,
-    text_relief,
-)
-from gelform.simulate.gel import Gel
-from gelform.simulate.light import exposed
-from gelform.simulate.presets import LAYOUTS
+from gelform.simulate import LAYOUTS, Ball, Indenter, Led, Pose, SimulatedSensor
 from gelform.simulate.sensor.camera import image_from_levels
-from gelform.simulate.sensor.sensor import Coating, Led, Optics, Timing, led_color
 
-SECTIONS = {"gel": Gel, "coating": Coating, "optics": Optics, "timing": Timing}
+SECTIONS = {
+    "gel": simulate.Gel,
+    "coating": simulate.Coating,
+    "optics": simulate.Optics,
+    "timing": simulate.Timing,
+}
 OWN_KEYS = ("base", "exposed_levels")
 LED_KEYS = ("peak_nm", "width_nm", "power")
 KINDS: Any = (("true or false", bool), ("a number", (int, float)), ("text", str), ("a list", (list, tuple)))
@@ -99,7 +91,8 @@ def sensor_from_settings(settings: Mapping[str, Any]) -> SimulatedSensor:
         if name in settings:
             given[name] = _section(name, kind, settings[name], base)
     sensor = SimulatedSensor(**given) if base is None else replace(base, **given)
-    return exposed(sensor, _frozen(settings["exposed_levels"])) if "exposed_levels" in settings else sensor
+    levels = _frozen(settings.get("exposed_levels"))
+    return simulate.exposed(sensor, levels) if "exposed_levels" in settings else sensor
 
 
 def _section(name: str, kind: Any, table: Any, base: SimulatedSensor | None) -> Any:
@@ -124,7 +117,7 @@ def _led(table: Mapping[str, Any]) -> Led:
     if "peak_nm" not in table:
         raise ValueError("Expected color = [red, green, blue] or peak_nm in every [[leds]], got one without.")
     strength = float(table.get("power", 1.0))
-    red, green, blue = led_color(float(table["peak_nm"]), float(table.get("width_nm", 25.0)))
+    red, green, blue = simulate.led_color(float(table["peak_nm"]), float(table.get("width_nm", 25.0)))
     return Led(color=(strength * red, strength * green, strength * blue), **values)
 
 
@@ -301,7 +294,7 @@ class SimulatedSource(Closing):
         return self._simulated(ball, Pose(depth_mm, tuple(middle_mm.tolist())))
 
     def _simulated(self, indenter: Indenter, pose: Pose) -> Array:
-        press = simulate_pose(self._linear, indenter, pose, rng=None, quantise=False)
+        press = simulate.simulate_pose(self._linear, indenter, pose, rng=None, quantise=False)
         return press.image.astype(np.float16)  # steps of 1/8 of a gray level: finer than the noise
 
     def _compute_ahead(self) -> None:
@@ -328,10 +321,10 @@ def program(sensor: SimulatedSensor) -> list[list[Touch | None]]:
     ]
     objects = [[*[None] * REST_IMAGES, *(Touch(BALL, pose) for pose in rolling)]]
     for indenter, depth_mm, steps, spin_deg, tilt_deg in (
-        (Coin(), 0.35, 14, 0.0, 0.0),
-        (Screw(), 0.45, 14, 25.0, 0.0),
-        (text_relief("gelform", height_mm=2.0), 0.3, 12, 0.0, 0.0),
-        (Torus(2.8, 0.9), 0.5, 14, 0.0, 4.0),
+        (simulate.Coin(), 0.35, 14, 0.0, 0.0),
+        (simulate.Screw(), 0.45, 14, 25.0, 0.0),
+        (simulate.text_relief("gelform", height_mm=2.0), 0.3, 12, 0.0, 0.0),
+        (simulate.Torus(2.8, 0.9), 0.5, 14, 0.0, 4.0),
     ):
         fractions = np.sin(np.linspace(0, np.pi / 2, steps + 1)[1:]) ** 2
         going_in = [

@@ -19,13 +19,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform import CalibrationError, Reconstruction
 from gelform.arrays import Array, Map, Mask, Numbers
-from gelform.errors import CalibrationError
 from gelform.foundations.filters import robust_sigma
 from gelform.foundations.findings import Finding
 from gelform.image.agreement import check_untouched
 from gelform.image.light import FrameLight, block_means, light_at_rest, light_from_blocks, lit, without_light
-from gelform.result import Reconstruction
 
 STEP_S, MEAN_S = 1.0, 3.0  # s: interval of the light's fits, and averaging time of the blocks for them
 MEAN_IMAGE_S = 10.0  # s over which frames are averaged before they wait

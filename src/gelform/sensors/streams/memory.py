@@ -12,18 +12,15 @@ from typing import Any
 import cv2
 import numpy as np
 
+from gelform import CalibrationError, Frame, MarkerTracker, Reconstruction, Reconstructor, contact_from_depth
 from gelform.arrays import Array, Map, Mask
-from gelform.depth.contact import contact_from_depth
-from gelform.errors import CalibrationError
 from gelform.foundations.checks import check_within
 from gelform.foundations.filters import robust_sigma
 from gelform.foundations.findings import Finding
 from gelform.image import view
-from gelform.image.frame import Frame
 from gelform.image.health import DepthLimit
-from gelform.image.markers import MarkerFlow, MarkerTracker
-from gelform.reconstruct import Reconstructor
-from gelform.result import Later, Reconstruction
+from gelform.image.markers import MarkerFlow
+from gelform.result import Later
 from gelform.result.maps import BESIDE_DEPTH
 from gelform.sensors.streams.background_drift import BackgroundDrift, DriftEvidence
 from gelform.sensors.streams.sensor_health import FROZEN, Examination, Frozen, light_findings

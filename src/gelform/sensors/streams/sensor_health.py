@@ -10,16 +10,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform import Calibration, Grabber
 from gelform.arrays import Array, Map, Mask, Numbers
-from gelform.calibration_file import Calibration
 from gelform.foundations.filters import robust_sigma
 from gelform.foundations.findings import Finding
 from gelform.image.agreement import room_light_finding
 from gelform.image.light import block_means, light_from_blocks
 from gelform.image.registration import PreparedRegistration
-from gelform.sensors import settings_mismatch
-from gelform.sensors.grabber import Grabber
-from gelform.sensors.source import Source
+from gelform.sensors import Source, settings_mismatch
 from gelform.sensors.streams.background_drift import DriftEvidence
 
 SMOOTH_PX, WIDE_PX = 1.0, 8.0  # px, widths of the blur of the image and of its surroundings

@@ -11,17 +11,24 @@ from os import PathLike
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gelform import (
+    Calibration,
+    CalibrationError,
+    DataError,
+    Frame,
+    GelformError,
+    Grabber,
+    Reconstruction,
+    Reconstructor,
+    StaleError,
+    View,
+    background_from_frames,
+    image_from_frame,
+)
 from gelform.arrays import Array, Map
 from gelform.calibration.library.library import NoCalibration, choose_calibration, unit_of
 from gelform.calibration.starters import Starter, load_starter, starter_names, starter_of_source
-from gelform.calibration_file import Calibration
-from gelform.errors import CalibrationError, DataError, GelformError, StaleError
-from gelform.image.background import USUAL_FRAMES, background_from_frames
-from gelform.image.frame import Frame
-from gelform.image.view import View, image_from_frame
-from gelform.reconstruct import Reconstructor
-from gelform.result import Reconstruction
-from gelform.sensors.grabber import Grabber
+from gelform.image.background import USUAL_FRAMES
 from gelform.sensors.source import Source
 from gelform.sensors.streams.memory import Memory, Smoothing, StreamFrame, Timed, Work
 from gelform.sensors.streams.pipeline import Feed, Pipeline, SourceLike, StreamStats, feed_from_source
