@@ -138,19 +138,15 @@ def open_source(
     """
     if not isinstance(spec, (str, PathLike)):
         raise TypeError(f"Expected a source as text or a path, got {type(spec).__name__}.")
-    if bgr:
-        return FromBgr(
-            open_source(spec, paced=paced, rate_hz=rate_hz, timeout_s=timeout_s, settings=settings)
-        )
     opened = _without_settings(spec, paced, rate_hz, timeout_s)
     if opened is None:
-        return UsbCamera(camera_named(str(spec)), settings)
-    if settings:
+        opened = UsbCamera(camera_named(str(spec)), settings)
+    elif settings:
         opened.close()
         raise SensorError(
             f"{shown_address(str(spec))} is no USB camera: {', '.join(settings)} cannot be set. Leave it out."
         )
-    return opened
+    return FromBgr(opened) if bgr else opened
 
 
 def _without_settings(
@@ -159,12 +155,11 @@ def _without_settings(
     """The simulated sensor, an address, or a film; None if the spec can only be a USB camera's."""
     if isinstance(spec, str) and spec.startswith(ADDRESSES):
         return MjpegUrl(spec, timeout_s=timeout_s)
-    if isinstance(spec, str) and spec.partition(":")[0] == SIMULATED:
-        try:
-            sensor = simulated_sensor_of(spec)
-        except ValueError as problem:
-            raise SensorError(f'{spec!r}: {problem} "simulated" alone is {DEFAULT_SENSOR}.') from problem
-        assert sensor is not None
+    try:
+        sensor = simulated_sensor_of(spec) if isinstance(spec, str) else None
+    except ValueError as problem:
+        raise SensorError(f'{spec!r}: {problem} "simulated" alone is {DEFAULT_SENSOR}.') from problem
+    if sensor is not None:
         return SimulatedSource(sensor, rate_hz=rate_hz or RATE_HZ)
     if isinstance(spec, str) and "://" in spec:
         raise SensorError(
