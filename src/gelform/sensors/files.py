@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from io import BytesIO
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 from typing import Any, cast
@@ -393,16 +394,11 @@ def averaged_background(paths: str | Path | Sequence[str | Path]) -> Background:
     """As `read_background`, with the noise of one frame and the names of rejected images with their reasons."""
     files = background_files(paths)
     names: list[str] = []
-
-    def images() -> Iterator[Array]:
-        for file in files:
-            several = is_stack(file)
-            for number, image in enumerate(_images_in(file)):
-                names.append(f"{file} {number}" if several else str(file))
-                yield image
-
+    for file in files:
+        several = range(images_of_stack(file)[1]) if is_stack(file) else None
+        names += [str(file)] if several is None else [f"{file} {number}" for number in several]
     try:
-        return background_from_frames(images(), names=names)
+        return background_from_frames(chain.from_iterable(map(_images_in, files)), names=names)
     except ValueError as problem:  # an image of another size
         raise DataError(f"Images of the gel at rest in {files[0].parent}: {problem}") from problem
 
