@@ -412,10 +412,7 @@ def test_arrays_of_numpy_are_images(tmp_path):
         np.save(path, values)
         np.testing.assert_array_equal(gelform.read_image(path), IMAGE_VALUES)
     for values, said in (
-        (
-            IMAGE_VALUES[..., 0],
-            r"array \(N, H, W, 3\) or one image .* of at most 200 megapixels, got \(6, 8\)",
-        ),
+        (IMAGE_VALUES[..., 0], r"array \(N, H, W, 3\) or one .* at most 200 megapixels, got \(6, 8\)"),
         (np.moveaxis(IMAGE_VALUES, 2, 0), "Move the axis of the colors last"),
         (np.zeros((0, 6, 8, 3), np.uint8), r"got \(0, 6, 8, 3\)"),
         (IMAGE_VALUES.astype(np.int32) * 300, "one.npy: Expected whole numbers from 0 to 255"),

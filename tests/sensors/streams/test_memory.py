@@ -42,13 +42,6 @@ def remembered(memory, images, rate_hz=25.0):
     return results
 
 
-def test_results_of_a_short_sequence_are_the_reconstructor_s(reconstruct, pressed):
-    memory = Memory(reconstruct)
-    np.testing.assert_array_equal(memory.image_from_frame(Frame(pressed[0], 0.0, 0, 0)), pressed[0])
-    results = remembered(memory, pressed[:3])
-    np.testing.assert_array_equal(results[2].depth, reconstruct.from_image(pressed[2]).depth)
-
-
 def test_smoothing_is_asked_for(reconstruct, at_rest):
     plain = remembered(Memory(reconstruct), at_rest)
     smooth = remembered(Memory(reconstruct, smoothing=1.0), at_rest)
@@ -266,6 +259,8 @@ def test_results_drops_ages_and_the_median_of_each_stage_are_counted(reconstruct
     assert 3 <= stats.age_s < 60
     assert 3000 <= stats.latency_ms < 60_000
     assert stats.stage_ms["mine"] == pytest.approx(2)
+    assert stats.stage_ms.keys() - {"learn", "mine"} == {"wait", "view", "reconstruct", "remember"}
+    assert min(stats.stage_ms["reconstruct"], stats.stage_ms["view"]) > 0
 
 
 def test_late_readers_get_the_newest_alone_and_do_not_take_from_each_other():
@@ -394,15 +389,6 @@ def test_close_ends_every_wait(reconstruct, at_rest):
     unused = Pipeline(feed_from_source(ImageSource(at_rest)), Memory(reconstruct))
     unused.close()  # never started
     assert unused.feed.state == "ended"
-
-
-def test_stages_are_timed(reconstruct, at_rest):
-    with running(ImageSource(at_rest), Memory(reconstruct)) as pipeline:
-        pipeline.results.newest(timeout_s=60)
-        stats = pipeline.stats()
-    assert stats.stage_ms.keys() - {"learn"} == {"wait", "view", "reconstruct", "remember"}
-    assert min(stats.stage_ms["reconstruct"], stats.stage_ms["view"]) > 0
-    assert stats.latency_ms >= stats.stage_ms["reconstruct"]
 
 
 def test_a_result_is_given_before_it_is_learned_from(reconstruct, at_rest):

@@ -89,9 +89,8 @@ def test_the_library_comes_before_the_starter(unpressed, tmp_path, monkeypatch):
     from gelform.calibration.library import add_calibration
 
     monkeypatch.setenv("GELFORM_CALIBRATIONS", str(tmp_path))
-    mine = gelform.calibration_from_background(
-        np.mean(unpressed[0.0], axis=0), MAKE, serial="S7", gel_id="mine"
-    )
+    background = np.mean(unpressed[0.0], axis=0)
+    mine = gelform.calibration_from_background(background, MAKE, serial="S7", gel_id="mine")
     add_calibration(mine)
     source = ImageSource(unpressed[0.0], live=False, count=1)
     source.serial = "S7"
