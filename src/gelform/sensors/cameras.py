@@ -161,13 +161,19 @@ def camera_named(spec: str, cameras: list[Camera] | None = None) -> Camera:
     if spec.startswith("/dev/") and os.path.exists(path):
         real = str(path.resolve())
         listed = next((camera for camera in there if camera.path == real), None)
-        if listed is None and sys.platform.startswith("linux"):  # elsewhere, opening it will show what it is
-            status = path.stat()
-            # 81 is the major number of video devices (Documentation/admin-guide/devices.txt of the kernel).
-            if not (stat.S_ISCHR(status.st_mode) and os.major(status.st_rdev) == 81):
-                raise SensorError(f"{spec} is no camera. Plugged in: {listed_cameras(there) or 'none'}.")
+        if listed is None and not _is_video_device(path):
+            raise SensorError(f"{spec} is no camera. Plugged in: {listed_cameras(there) or 'none'}.")
         return listed or Camera(spec, real)
     return chosen_camera(spec, there)
+
+
+def _is_video_device(path: Path) -> bool:
+    """Whether the kernel lists the path as a video device. True where the kernel cannot be asked: opening will show it."""
+    if not sys.platform.startswith("linux"):
+        return True
+    status = path.stat()
+    # 81 is the major number of video devices (Documentation/admin-guide/devices.txt of the kernel).
+    return stat.S_ISCHR(status.st_mode) and os.major(status.st_rdev) == 81
 
 
 Settings = Mapping[str, float | str]
