@@ -138,13 +138,14 @@ class HttpBody:
 
     def __init__(self, url: str, timeout_s: float) -> None:
         self.url = shown_address(url)
+        expected = f"Expected an address like http://host:8080/stream, got {self.url}."
         try:
             place = urlsplit(url)
             port = place.port or (443 if place.scheme == "https" else 80)
         except ValueError:
-            place, port = urlsplit(""), 0
+            raise SensorError(expected) from None
         if not place.hostname:
-            raise SensorError(f"Expected an address like http://host:8080/stream, got {self.url}.")
+            raise SensorError(expected)
         self._socket = _connected(place, port, timeout_s)
         with ExitStack() as undone:
             undone.callback(self._socket.close)

@@ -274,11 +274,9 @@ class SimulatedSource(Closing):
         depth_mm = None if asked is None else asked.depth_at(time.monotonic())
         if asked is not None and depth_mm is not None:
             depth_mm = STEP_MM * round(depth_mm / STEP_MM)
-            return (
-                self._pressed(asked.ball, depth_mm, asked.x_px, asked.y_px)
-                if depth_mm > 0
-                else self._untouched
-            )
+            if depth_mm <= 0:
+                return self._untouched
+            return self._pressed(asked.ball, depth_mm, asked.x_px, asked.y_px)
         images, at = self._images, int((time_s + 0.7 * self._seed) * IMAGE_RATE_HZ)  # seeds start 0.7 s apart
         touch = None if self.resting else images[at % len(images)]
         return self._untouched if touch is None else self._levels_of_touch(touch)
