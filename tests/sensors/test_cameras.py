@@ -299,15 +299,12 @@ def camera_at(path, usb_id="2833:0209"):
     return Camera("DIGIT", str(path), "D1", usb_id)
 
 
-def test_the_rule_names_the_device():
+def test_the_rule_names_the_device_and_an_unplugged_camera_says_so(tmp_path):
     assert udev_rule("2833:0209") == (
         'SUBSYSTEM=="video4linux", ATTRS{idVendor}=="2833", ATTRS{idProduct}=="0209", MODE="0660", GROUP="video", '
         'TAG+="uaccess"'
     )
     assert udev_rule(None).startswith('SUBSYSTEM=="video4linux", MODE')
-
-
-def test_an_unplugged_camera_says_so(tmp_path):
     with pytest.raises(SensorError, match=r"DIGIT \(serial D1.*was unplugged"):
         check_access(camera_at(tmp_path / "video0"))
     with pytest.raises(SensorError, match="not there any more"):

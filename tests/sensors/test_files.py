@@ -85,22 +85,15 @@ def odd_name(tmp_path):
         pytest.skip("this file system has names in UTF-8 alone")
 
 
-def test_a_name_that_is_no_utf_8_is_refused_by_every_reader(odd_name):
+def test_a_name_that_is_no_utf_8_is_refused_everywhere(odd_name, calibration, tmp_path, capsys):
     for reader in (Video, open_source, open_film):
         with pytest.raises(DataError, match=r"udcff.avi' is no UTF-8. Rename it"):
             reader(odd_name)
-
-
-def test_commands_say_so(odd_name, calibration, tmp_path, capsys):
     calibration.save(tmp_path / "cal.npz")
     after = ["-c", str(tmp_path / "cal.npz"), "-o", str(tmp_path / "out")]
-    for command in (
-        ["info", str(odd_name)],
-        ["reconstruct", str(odd_name), *after],
-        ["batch", str(odd_name), *after, "--table", "csv"],
-    ):
+    for command, *options in (["info"], ["reconstruct", *after], ["batch", *after, "--table", "csv"]):
         with pytest.raises(SystemExit, match=r"^1$"):
-            main(command)
+            main([command, str(odd_name), *options])
     assert "no UTF-8. Rename it" in capsys.readouterr().err
     assert "no UTF-8. Rename it" in (tmp_path / "out" / "frames.csv").read_text()
 

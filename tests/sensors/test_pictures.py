@@ -19,6 +19,7 @@ from gelform.errors import DataError
 from gelform.foundations.pictures import picture_bytes
 from gelform.image.frame import as_levels
 from gelform.sensors import pictures
+from gelform.sensors.files import IMAGE_SUFFIXES
 from gelform.sensors.pictures import (
     MAX_STRICT_BYTES,
     check_declared,
@@ -327,23 +328,23 @@ def png_bomb(side):
     return png_of_stream(zlib.compress(bytes(10**6), 9), (side, side, 8, 2, 0, 0, 0))
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tiff", ".webp", ".ppm"])
-def test_every_kind_of_file_states_its_size(suffix):
-    content = cv2.imencode(suffix, PICTURE)[1].tobytes()
+LOSSLESS = [cv2.IMWRITE_WEBP_QUALITY, 101]
+ENTRIES = struct.pack(">HHIHH", 256, 3, 1, 91, 0) + struct.pack(">HHII", 257, 4, 1, 37)
+SIZED = {
+    **{suffix: cv2.imencode(suffix, PICTURE)[1].tobytes() for suffix in IMAGE_SUFFIXES},
+    "lossless webp": cv2.imencode(".webp", PICTURE, LOSSLESS)[1].tobytes(),
+    "extended webp": b"RIFF\x20\0\0\0WEBPVP8X\x0a\0\0\0" + bytes(4) + b"\x5a\0\0\x24\0\0",
+    "tiff of the other order": b"MM\0*" + struct.pack(">IH", 8, 2) + ENTRIES,
+}
+
+
+@pytest.mark.parametrize("content", SIZED.values(), ids=SIZED)
+def test_every_kind_of_file_states_its_size(content):
     assert declared_shape(content) == (37, 91)
     with pytest.raises(ValueError, match="37x91 px"):
         check_declared(content, 37 * 91 - 1)
     for cut in range(60):
         check_declared(content[:cut])  # the decoder's to refuse
-
-
-def test_lossless_and_extended_webp_and_other_byte_orders():
-    lossless = cv2.imencode(".webp", PICTURE, [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()
-    assert declared_shape(lossless) == (37, 91)
-    extended = b"RIFF\x20\0\0\0WEBPVP8X\x0a\0\0\0" + bytes(4) + b"\x5a\0\0\x24\0\0"
-    assert declared_shape(extended) == (37, 91)
-    entries = struct.pack(">HHIHH", 256, 3, 1, 91, 0) + struct.pack(">HHII", 257, 4, 1, 37)
-    assert declared_shape(b"MM\0*" + struct.pack(">IH", 8, 2) + entries) == (37, 91)
 
 
 def test_bombs_are_refused_before_they_take_memory(tmp_path, calibration):

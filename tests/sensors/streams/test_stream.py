@@ -164,16 +164,13 @@ def test_a_slow_consumer_gets_the_newest_frame(calibration, at_rest):
     assert stream.stats.results > len(indices)
 
 
-def test_a_loop_that_breaks_closes_the_stream_and_a_forgotten_one_ends(calibration, at_rest):
+def test_a_loop_or_a_with_block_closes_the_stream_and_a_forgotten_one_ends(calibration, at_rest):
     for _result in gelform.stream(ImageSource(at_rest), calibration):
         break
     stream = gelform.stream(ImageSource(at_rest), calibration)
     assert stream.newest(timeout_s=10) is not None
     del stream
     gc.collect()
-
-
-def test_a_with_block_keeps_it_open_between_loops(calibration, at_rest):
     with gelform.stream(ImageSource(at_rest), calibration) as stream:
         first = next(iter(stream)).index
         assert stream.newest(after_index=first, timeout_s=5).index > first
