@@ -145,18 +145,13 @@ def unpressed(made_once) -> dict[float, list[np.ndarray]]:
 @pytest.fixture(scope="session")
 def folder(simulated, made_once) -> Path:
     """The same as a press folder on disk, without labels: nothing to peek at."""
-    return made_once("folder", lambda path: _written(path, simulated))
-
-
-def _written(path: Path, simulated: SimulatedPresses) -> Path:
-    return save_press_folder(
-        path,
-        background=simulated.background,
-        images=[press.image for press in simulated.presses],
-        ball_diameters_mm=[press.ball_diameter_mm for press in simulated.presses],
-        mm_per_px=simulated.sensor.mm_per_px,
-        name="simulated",
-    )
+    content = {
+        "background": simulated.background,
+        "images": [press.image for press in simulated.presses],
+        "ball_diameters_mm": [press.ball_diameter_mm for press in simulated.presses],
+        "mm_per_px": simulated.sensor.mm_per_px,
+    }
+    return made_once("folder", lambda path: save_press_folder(path, **content, name="simulated"))
 
 
 @pytest.fixture(scope="session")

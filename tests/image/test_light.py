@@ -19,10 +19,22 @@ from gelform.image.background import ChangeSettings, PreparedBackground
 from gelform.image.light import block_means, gain_from_blocks, light_from_blocks
 from gelform.image.registration import PreparedRegistration, registration_from_image
 from gelform.sensors.files import read_image
-from gelform.simulate import Ball, simulate_press
+from gelform.simulate import Ball, simulate_background, simulate_press
 from kernel_agreement import assert_kernel_agrees
 
 pytestmark = pytest.mark.linear_algebra
+
+
+@pytest.fixture(scope="module")
+def rest(sensor):
+    return simulate_background(sensor, np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def pressed(sensor):
+    rng = np.random.default_rng(1)
+    return simulate_press(sensor, Ball(3.0), depth_mm=0.6, center_mm=(1.5, 1), rng=rng).image
+
 
 GAINS = st.tuples(*[st.floats(0.85, 1.2)] * 3)
 TILTS = st.tuples(*[st.floats(-0.08, 0.08)] * 6)
