@@ -1,5 +1,9 @@
 """Errors that gelform raises in addition to ValueError and TypeError."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
@@ -30,6 +34,15 @@ class StaleError(SensorError):
 
 class DataError(GelformError):
     """A file or folder is missing, unreadable, incomplete or altered, or already exists."""
+
+
+@contextmanager
+def cannot(act: str, remedy: str = "", error: type[GelformError] = DataError) -> Iterator[None]:
+    """Raise the error where the system refuses what is inside: "Cannot write a.npz: No space left on device."."""
+    try:
+        yield
+    except OSError as problem:
+        raise error(f"Cannot {act}: {problem.strerror or problem}.{remedy and ' ' + remedy}") from problem
 
 
 def needed(module: str, extra: str, what: str) -> Any:

@@ -30,7 +30,7 @@ from gelform.batch.containers import (
     video_frames,
 )
 from gelform.calibration.presses.press_set import file_of, table_rows
-from gelform.errors import DataError, GelformError, reason
+from gelform.errors import DataError, GelformError, cannot, reason
 from gelform.foundations.checks import check_image, check_path
 from gelform.foundations.files import way_for
 from gelform.image.agreement import background_digest
@@ -135,15 +135,13 @@ def _in_tree(root: Path, hidden: set[str], dataset: str) -> Iterator[FilmRef]:
         folder = folders.pop()
         files: list[str] = []
         inside: list[str] = []
-        try:
-            with os.scandir(folder) as entries:
-                for entry in entries:
-                    if not entry.name.startswith("."):
-                        (inside if entry.is_dir(follow_symlinks=False) else files).append(entry.name)
-        except OSError as problem:
-            raise DataError(
-                f"Cannot list {folder}: {problem.strerror}. Allow reading it, or give the other folders."
-            ) from problem
+        with (
+            cannot(f"list {folder}", "Allow reading it, or give the other folders."),
+            os.scandir(folder) as entries,
+        ):
+            for entry in entries:
+                if not entry.name.startswith("."):
+                    (inside if entry.is_dir(follow_symlinks=False) else files).append(entry.name)
         if dataset:
             containers = [one for one in (*files, *inside) if is_container(folder / one)]
             for one in sorted(containers, key=natural):

@@ -46,8 +46,10 @@ from gelform.batch.records import (
 from gelform.batch.work import Engine, Job
 from gelform.calibration.library.library import choose_calibration, unit_of_all
 from gelform.calibration_file import Calibration, as_calibration
+from gelform.errors import cannot
 from gelform.exchange.exporters.press_folder import check_room
 from gelform.foundations.checks import check_path
+from gelform.foundations.files import made_folder
 from gelform.foundations.findings import FrameTally
 from gelform.foundations.pictures import picture_bytes
 
@@ -259,7 +261,8 @@ def run_batch(
     images = sum(len(sequence.images) for sequence in listing.sequences)
     digests = calibration.digest, digest, listing.digest
     manifest = Manifest(settings.facts(), *digests, parts=len(plan), images=images)
-    _make_folder(output)
+    with cannot(f"write into {output}", "Give another output."):
+        check_room(made_folder(output))
     with only_run(output, options.shard) as alone:
         begin(output, manifest, overwrite=options.overwrite)
         summary = BatchSummary(parts=len(parts), table=TABLES[table], warnings=listing.warnings)
@@ -334,17 +337,6 @@ def _check_size(plan: Sequence[Part], calibration: Calibration) -> None:
         raise DataError(
             f"{problems[0]} The calibration is of another size of frames: use the one of this sensor."
         )
-
-
-def _make_folder(output: Path) -> None:
-    """Make the output folder and check that the disk has room, before the work."""
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-        check_room(output)
-    except FileExistsError as problem:
-        raise DataError(f"Expected a folder to write to, got the file {output}.") from problem
-    except OSError as problem:
-        raise DataError(f"Cannot write into {output}: {problem.strerror}. Give another output.") from problem
 
 
 def _not_done(

@@ -19,7 +19,7 @@ from gelform.calibration import report
 from gelform.cli import options
 from gelform.cli.console import check_pictures, json_bytes, say
 from gelform.cli.process import mistakes_in
-from gelform.errors import DataError, GelformError
+from gelform.errors import DataError, GelformError, cannot
 from gelform.foundations.findings import Progress
 
 if TYPE_CHECKING:
@@ -102,12 +102,9 @@ def check_output(path: Path, *, overwrite: bool) -> None:
 
 def make_folder(folder: Path) -> Path:
     """Make a folder and its parents, and check that it is writable; a DataError says why not."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except FileExistsError as problem:
-        raise DataError(f"Expected a folder to write to, got the file {folder}.") from problem
-    except OSError as problem:
-        raise DataError(f"Cannot make the folder {folder}: {problem.strerror or problem}.") from problem
+    from gelform.foundations.files import made_folder
+
+    made_folder(folder)
     if not os.access(folder, os.W_OK):
         _check_room(folder)
         raise DataError(f"Cannot write into {folder}: permission denied.")
@@ -117,10 +114,8 @@ def make_folder(folder: Path) -> Path:
 def _check_room(folder: Path) -> None:
     from gelform.exchange.exporters.press_folder import check_room
 
-    try:
+    with cannot(f"write into {folder}"):
         check_room(folder)
-    except OSError as problem:
-        raise DataError(f"Cannot write into {folder}: {problem.strerror or problem}.") from problem
 
 
 def content_of(

@@ -26,7 +26,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from gelform.arrays import Array
-from gelform.errors import DataError, GelformError, said
+from gelform.errors import DataError, GelformError, cannot, said
 from gelform.foundations.checks import check_path
 
 try:
@@ -89,9 +89,8 @@ def bytes_of(
     """
     path = present_file(path, what, max_bytes, error)
     try:
-        return path.read_bytes()
-    except OSError as problem:
-        raise error(f"Cannot read {path}: {problem.strerror or problem}.") from problem
+        with cannot(f"read {path}", error=error):
+            return path.read_bytes()
     except MemoryError:
         raise error(f"Not enough memory to read {path}.") from None
 
@@ -280,6 +279,18 @@ def _is_old(descriptor: int) -> bool:
     return time.time() - os.fstat(descriptor).st_mtime > LEFT_AFTER_S
 
 
+def made_folder(folder: Path) -> Path:
+    """The folder, made with its parents where it is missing.
+
+    DataError: it is a file, or the system refuses.
+    """
+    with cannot(f"make the folder {folder}"):
+        if folder.is_file():
+            raise DataError(f"Expected a folder to write to, got the file {folder}.")
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
 def check_free(
     path: str | os.PathLike[str], *, overwrite: bool, error: type[GelformError] = DataError
 ) -> None:
@@ -384,14 +395,13 @@ def read_npz(
     if not path.is_file():
         raise error(f"No file {path}: expected a {kind}.")
     try:
-        with path.open("rb") as file:
-            is_picture = file.read(4).startswith(PICTURE_STARTS)
-        with zipfile.ZipFile(path) as archive:
-            arrays = _members(archive, path, kind, max_bytes, error)
+        with cannot(f"read {path}", error=error):
+            with path.open("rb") as file:
+                is_picture = file.read(4).startswith(PICTURE_STARTS)
+            with zipfile.ZipFile(path) as archive:
+                arrays = _members(archive, path, kind, max_bytes, error)
         meta = json.loads(str(arrays.pop("meta")[()]))
         _json(meta)
-    except OSError as problem:
-        raise error(f"Cannot read {path}: {problem.strerror or problem}.") from problem
     except _UNREADABLE as problem:
         if is_picture:
             raise error(

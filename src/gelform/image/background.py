@@ -292,9 +292,7 @@ def background_from_frames(
     ValueError, TypeError
         A frame that is no RGB image, or of another size than the first.
     """
-    if names is not None:
-        check_list(names, "names", str)
-    kept = _kept(frames, names, max_bytes)  # a reader names frames as they come
+    kept = _kept(frames, None if names is None else check_list(names, "names", str), max_bytes)
     if not kept:
         raise DataError("Expected frames of the gel at rest, got none.")
     left_out = _odd_ones(kept)

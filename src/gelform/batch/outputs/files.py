@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from gelform import DataError, Reconstruction
 from gelform.batch.inputs import Part
 from gelform.depth.integrate import checked_solver
+from gelform.errors import cannot
 from gelform.exchange.exporters.surface import MM_PER_LEVEL, UNKNOWN, ZERO_LEVEL, levels_from_depth
 from gelform.foundations.checks import check_choice
 from gelform.foundations.files import written_file
@@ -129,11 +130,9 @@ class FlushedLater(AbstractContextManager["FlushedLater"]):
 
     def __exit__(self, *error: object) -> None:
         self._flushing.shutdown(cancel_futures=error[0] is not None)
-        try:
+        with cannot(f"write into {self._output}"):
             for one in self._files if error[0] is None else ():
                 one.result()
-        except OSError as problem:
-            raise DataError(f"Cannot write into {self._output}: {problem.strerror or problem}.") from problem
 
 
 def _flush(path: Path) -> None:

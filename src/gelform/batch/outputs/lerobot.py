@@ -38,7 +38,7 @@ from gelform.batch.outputs.files import (
     output_file,
     write_output,
 )
-from gelform.errors import DataError, needed
+from gelform.errors import DataError, cannot, needed
 from gelform.exchange.exporters.surface import UNKNOWN
 from gelform.foundations.files import MAX_TEXT_BYTES, bytes_of, written_file
 from gelform.result import Reconstruction
@@ -279,11 +279,8 @@ def _copy(path: Path, target: Path) -> None:
     """Copy the file; an existing copy of an interrupted run is kept if its bytes are equal."""
     if target.is_file() and len({output_file(one.parent, one).sha256 for one in (path, target)}) == 1:
         return
-    try:
-        with path.open("rb") as file, written_file(target, overwrite=True) as copy:
-            shutil.copyfileobj(file, copy, 1 << 20)
-    except OSError as problem:
-        raise DataError(f"Cannot copy {path}: {problem.strerror or problem}.") from problem
+    with cannot(f"copy {path}"), path.open("rb") as file, written_file(target, overwrite=True) as copy:
+        shutil.copyfileobj(file, copy, 1 << 20)
 
 
 def _forces(episodes: Episodes) -> Vectors:

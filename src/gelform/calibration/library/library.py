@@ -16,8 +16,8 @@ from platformdirs import user_cache_path, user_data_path
 
 from gelform import __version__
 from gelform.calibration_file import FORMAT_VERSION, Calibration, load_calibration
-from gelform.errors import CalibrationError, DataError, GelformError
-from gelform.foundations.files import DIGEST_SHOWN, sweep
+from gelform.errors import CalibrationError, DataError, GelformError, cannot
+from gelform.foundations.files import DIGEST_SHOWN, made_folder, sweep
 from gelform.foundations.findings import Progress, no_progress
 from gelform.sensors.cameras import Camera, almost, camera_named, cameras_there
 from gelform.sensors.files import read_sensor_toml
@@ -168,10 +168,8 @@ def entries(folder: Path | None = None) -> list[Entry]:
     folder : folder of the library; the user's by default
     """
     folder = library_folder() if folder is None else folder
-    try:
+    with cannot(f"list {folder}"):
         paths = sorted(folder.glob("*.npz"))
-    except OSError as problem:
-        raise DataError(f"Cannot list {folder}: {problem.strerror or problem}.") from problem
     return sorted(map(entry_of, paths), key=lambda one: one.created_utc, reverse=True)
 
 
@@ -215,11 +213,7 @@ def add_calibration(calibration: Calibration, folder: Path | None = None) -> tup
         The folder cannot be made or written to.
     """
     folder = library_folder() if folder is None else folder
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise DataError(f"Cannot make the folder {folder}: {problem.strerror or problem}.") from problem
-    sweep(folder)
+    sweep(made_folder(folder))
     for entry in entries(folder):
         if is_same(entry, calibration):
             return entry.path, False
@@ -258,10 +252,8 @@ def remove_calibration(entry: Entry) -> None:
 
     DataError: it cannot be deleted.
     """
-    try:
+    with cannot(f"remove {entry.path}"):
         entry.path.unlink(missing_ok=True)
-    except OSError as problem:
-        raise DataError(f"Cannot remove {entry.path}: {problem.strerror or problem}.") from problem
 
 
 def facts_of(entry: Entry) -> dict[str, Any]:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.geometry.files import edited_toml
-from gelform.errors import DataError
-from gelform.foundations.files import written_file
+from gelform.errors import DataError, cannot
+from gelform.foundations.files import made_folder, written_file
 from gelform.foundations.pictures import picture_bytes
 from gelform.image.background import background_from_frames
 from gelform.image.view import View
@@ -32,13 +32,10 @@ class TakenPresses:
         self.count = 0
         self._rest: NDArray[np.float32] | None = None
         self._limit: NDArray[np.float64] | None = None  # gray levels, least difference of a touched pixel
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            if any(folder.iterdir()):
+        with cannot(f"write {folder}"):
+            if any(made_folder(folder).iterdir()):
                 raise DataError(f"Expected a new or empty folder, got {folder}. Choose another name.")
             (folder / "images").mkdir()
-        except OSError as problem:
-            raise DataError(f"Cannot write {folder}: {problem.strerror}.") from problem
         self._write("sensor.toml", toml_of_settings(settings).encode())
         self._write_table()
 

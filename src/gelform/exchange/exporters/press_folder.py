@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gelform.arrays import Image
-from gelform.errors import DataError
+from gelform.errors import DataError, cannot
 from gelform.foundations.checks import (
     check_image,
     check_is,
@@ -49,7 +49,7 @@ from gelform.simulate.sensor import settings_from_sensor
 @contextmanager
 def written_whole(target: Path) -> Iterator[Path]:
     """A temporary folder next to `target`; it gets that name if the block ends without an error, else it is deleted."""
-    try:
+    with cannot(f"write into {target.parent}"):
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             raise DataError(
                 f"Expected a new or empty folder, got {target}, which holds something. Choose another name."
@@ -57,24 +57,19 @@ def written_whole(target: Path) -> Iterator[Path]:
         target.parent.mkdir(parents=True, exist_ok=True)
         sweep(target.parent, target.name)
         partial = Path(tempfile.mkdtemp(prefix=f".{target.name}.partial-", dir=target.parent))
-    except OSError as error:
-        raise DataError(f"Cannot write into {target.parent}: {error.strerror or error}.") from error
     try:
-        with locked_folder(partial):
-            check_room(partial)
-            yield partial
-            with suppress(OSError):  # a file system without times
-                os.utime(partial)  # it has no lock from now on; `sweep` spares it for a minute
-        mask = os.umask(0)  # the one way to ask for it
-        os.umask(mask)
-        partial.chmod(0o777 & ~mask)
-        if target.exists():
-            target.rmdir()
-        partial.rename(target)
-    except OSError as error:
-        raise DataError(
-            f"Cannot write {target}: {error.strerror or error}. Nothing of it was kept."
-        ) from error
+        with cannot(f"write {target}", "Nothing of it was kept."):
+            with locked_folder(partial):
+                check_room(partial)
+                yield partial
+                with suppress(OSError):  # a file system without times
+                    os.utime(partial)  # it has no lock from now on; `sweep` spares it for a minute
+            mask = os.umask(0)  # the one way to ask for it
+            os.umask(mask)
+            partial.chmod(0o777 & ~mask)
+            if target.exists():
+                target.rmdir()
+            partial.rename(target)
     finally:
         shutil.rmtree(partial, ignore_errors=True)  # if it did not get its name
 

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.arrays import Array, Floats, Map, Mask
 from gelform.errors import DataError, needed
 from gelform.foundations.checks import check_is, check_mm_per_px, check_path, check_values
-from gelform.foundations.files import written_file
+from gelform.foundations.files import made_folder, written_file
 from gelform.foundations.pictures import picture_bytes
 from gelform.result import Reconstruction
 
@@ -141,10 +141,7 @@ def save_surface(result: Reconstruction, path: str | PathLike[str], *, overwrite
     if path.exists() and not overwrite:
         raise DataError(f"{path} is there already. Choose another name, or overwrite.")
     content = SURFACES[path.suffix.lower()](result)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"Cannot write {path}: {error.strerror or error}. Nothing was kept.") from error
+    made_folder(path.parent)
     with written_file(path, overwrite=overwrite) as file:
         file.write(content)
     return path
