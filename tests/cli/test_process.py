@@ -92,7 +92,7 @@ GELFORM = f"{sys.executable} -m gelform"
 
 
 def shell(command, **how):
-    return subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60, **how)
+    return subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=240, **how)
 
 
 @pytest.mark.slow
@@ -126,11 +126,11 @@ def test_streams_that_know_ascii_alone(press_folder, calibration_file, tmp_path)
     image.write_bytes((press_folder / "images" / "0000.png").read_bytes())
     ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"}
     command = [*GELFORM.split(), "reconstruct", image, "-c", calibration_file, "-o", tmp_path / "o"]
-    ran = subprocess.run(command, capture_output=True, env=ascii_only, timeout=60)
+    ran = subprocess.run(command, capture_output=True, env=ascii_only, timeout=240)
     assert (ran.returncode, ran.stderr) == (0, b"")
     assert rb"Pr\xfcfling" in ran.stdout
     command += ["--overwrite", "--json"]
-    again = subprocess.run(command, capture_output=True, env=ascii_only, timeout=60)
+    again = subprocess.run(command, capture_output=True, env=ascii_only, timeout=240)
     assert json.loads(again.stdout)["results"][0]["image"] == str(image)
 
 
@@ -155,7 +155,7 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(kind, workers, tmp_path):
         assert ran.poll() is None, ran.stderr.read()
         time.sleep(0.05)
     (os.killpg if kind == signal.SIGINT else os.kill)(ran.pid, kind)
-    _, said = ran.communicate(timeout=60)
+    _, said = ran.communicate(timeout=240)
     assert (ran.returncode, said) == (130, "gelform: interrupted.\n")
     assert list(tmp_path.iterdir()) == []
 
@@ -177,11 +177,11 @@ def test_a_terminal_that_closes_ends_a_recording_with_its_index(tmp_path):
             if select.select([here], [], [], 0.05)[0]:  # a terminal that nobody reads stops the program
                 rows += os.read(here, 4096)
         os.close(here)
-        assert b"frames" in rows
-        assert rows.count(b"frames") <= rows.count(b"\r") + 1  # one bar, whatever the number of frames
+        # One bar, whatever the number of frames; it says "reconnecting" beside busy neighbors.
+        assert 0 < rows.count(b"/?") <= rows.count(b"\r") + 1
         for _ in range(3):
             os.kill(ran.pid, signal.SIGHUP)
-        assert ran.wait(60) in (0, 1, 130)
+        assert ran.wait(240) in (0, 1, 130)
     finally:
         ran.kill()  # does nothing to one that has ended
         ran.wait()
