@@ -307,6 +307,8 @@ def test_a_lost_source_is_opened_again_and_counted_on(device):
         assert grabber.newest(7, timeout_s=0.01) is None
         device.there = True
         device.give(0)
+        assert grabber.newest(7, WAIT_S).index == 8
+        assert grabber.stats.rate_hz == 0, "the time without the source is no time between frames"
         device.give(1)
         assert grabber.newest(8, WAIT_S).index == 9
         assert (grabber.state, grabber.reason) == ("running", "")
