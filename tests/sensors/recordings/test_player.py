@@ -174,10 +174,10 @@ def test_a_single_frame_is_shown_once_though_it_loops(tmp_path):
     cv2.imwrite(str(tmp_path / "0.png"), np.zeros((4, 4, 3), np.uint8))
     player = Player(open_film(tmp_path))
     player.loop(True)
-    shown = Shown(player)
-    until(lambda: not player.playing)
-    shown.close()
-    assert shown.numbers == [0]
+    source, ending = iter(player), threading.Timer(0.2, player.close)
+    assert next(source).number == 0
+    ending.start()
+    assert next(source, None) is None, "it waits until it is closed"
 
 
 def test_a_damaged_frame_is_said_and_passed_over(recording):
