@@ -136,6 +136,8 @@ def test_a_late_reader_gets_the_frame_that_is_due_and_closing_ends_the_loop():
     next(reader)
     time.sleep(0.3)
     assert next(reader).index >= 14
+    late = (time.sleep(0.1) or one for one in frames(1))
+    assert len(list(Playback(late, RecordingFacts("x", rate_hz=50.0), paced=True))) == 1, "never the first"
     with Playback(frames(60), RecordingFacts("x")) as source:
         reader = iter(source)
         next(reader)
