@@ -166,6 +166,9 @@ def test_a_background_from_a_held_frame_is_said_to_be_of_one(replayed, station, 
     actions.take_background(replayed, station)
     assert "Background taken from one frame" in replayed.notices[-1][2]
     assert station.setup.background is not None
+    assert actions.attached_setup(replayed, station.setup, rest).background is None, "it is of that sensor"
+    actions.open_recording(replayed, station, "")
+    until(lambda: station.facts()["simulated"])  # not the recording before this one
 
 
 def frames_of(images):

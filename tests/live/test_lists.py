@@ -12,17 +12,20 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelform import CalibrationError, GelformError, SensorError, open_source
+from gelform import CalibrationError, DataError, GelformError, SensorError, open_source
 from gelform.live import actions
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations, Devices, Recordings
+from gelform.live.start import start
 from gelform.live.station import Setup
 from gelform.live.web.client import text
 from gelform.sensors.cameras import SETTABLE, Camera
+from gelform.sensors.films import open_film
 from gelform.sensors.simulated import SimulatedSource
 from live_waiting import until
 from stream.ffmpeg_camera import FfmpegCamera, why_absent
@@ -204,6 +207,18 @@ def test_folders_are_not_fetched_and_what_is_gone_is_said(forms, tmp_path):
         with pytest.raises(GelformError, match="Share"):
             listed.file(number)
     assert listed.facts()[1]["bytes"] is None
+
+
+def test_arrays_that_are_no_frames_are_not_listed_and_say_why_if_they_are_opened(tmp_path):
+    np.save(tmp_path / "frames.npy", np.zeros((2, 4, 5, 3), np.uint8))
+    np.save(tmp_path / "image.npy", np.zeros((4, 5, 3), np.uint8))
+    np.save(tmp_path / "forces.npy", np.zeros((100, 6)))
+    np.save(tmp_path / "objects.npy", np.array([{}]), allow_pickle=True)
+    (tmp_path / "torn.npy").write_bytes(b"no array")
+    hub = start([], folder=tmp_path)
+    assert [one["name"] for one in hub.recordings.facts()] == ["frames.npy"]
+    with pytest.raises(DataError, match=r"RGB frames in .*forces.npy"):
+        open_film(tmp_path / "forces.npy")
 
 
 @pytest.fixture

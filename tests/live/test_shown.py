@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import zlib
 from dataclasses import asdict, replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -178,6 +179,16 @@ def test_the_header_says_what_the_result_says(shown, result, press):
     assert header["unit"] == "mm"
     assert [one[0] for one in header["health"]] == [finding.name for finding in result.health]
     assert header["contacts"] == [asdict(contact) for contact in result.contacts]
+
+
+def test_causes_are_a_bit_each_where_one_alone_is_worse_than_a_clean_slope(shown, result):
+    steep, dark = np.zeros((2, *result.shape))
+    steep[:, :5] = dark[:3] = 0.021
+    dark[3:] = 0.019
+    why = SimpleNamespace(confidence=dark, maps={"steep": steep, "dark": dark}, full_confidence_sigma=0.02)
+    explained = Shown(1, shown.frame, shown.image, result, explain=lambda: why)
+    (plane,) = explained.planes(["causes"], "raw")
+    np.testing.assert_array_equal(floats(plane), (steep > 0.02) + 2 * (dark > 0.02))
 
 
 def test_without_a_result_there_is_the_image_and_the_reason(shown):

@@ -26,6 +26,7 @@ from gelform.live import actions
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations
 from gelform.live.start import start
+from gelform.live.station import Setup
 from gelform.sensors import cameras as plugged_in
 from gelform.sensors.cameras import Camera
 from live_waiting import next_of, until
@@ -283,10 +284,12 @@ def test_something_that_moves_is_said_and_it_is_taken_again(never, unpressed):
     let_see(station, unpressed[0.0])
     actions.take_starter(never, station, MAKE)
     assert said(never)["said"] == []
-    first = station.setup.calibration
+    first = replace(station.setup.calibration, mm_per_px=0.06)  # the user's own scale, which stays
+    station.setup = Setup(first, station.setup.name)
     let_see(station, [image // 2 for image in unpressed[0.0]])
     actions.take_background(never, station)  # its lamps are half as bright: the starter is brought to them
     assert station.setup.calibration.background.mean() < 0.6 * first.background.mean()
+    assert station.setup.calibration.mm_per_px == 0.06
     assert len(never.calibrations.names) == 1
     actions.undo_background(never, station)
     assert station.setup.calibration is first is never.calibrations[station.setup.name]

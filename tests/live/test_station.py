@@ -219,6 +219,9 @@ def test_a_background_is_used_and_given_back_and_another_sensors_is_refused(cali
     assert not setup.memory.reconstruct.own_background
     assert replace(setup, solver="dct").background is today
     assert replace(setup, background=None).memory.reconstruct.own_background
+    for _ in range(9):
+        setup = setup.taking(calibration, "mine", today)
+    assert len(setup.earlier) == 8
 
 
 def test_a_setup_for_another_sequence_has_forgotten_what_the_last_one_taught(calibration):

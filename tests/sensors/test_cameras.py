@@ -3,6 +3,7 @@
 A USB camera: calls of OpenCV and their results, and the reason if it cannot be opened.
 """
 
+import errno
 import os
 import shutil
 import stat
@@ -309,6 +310,15 @@ def test_the_rule_names_the_device_and_an_unplugged_camera_says_so(tmp_path):
         check_access(camera_at(tmp_path / "video0"))
     with pytest.raises(SensorError, match="not there any more"):
         cameras.UsbCamera(camera_at(tmp_path / "video7"))
+
+
+def test_one_that_the_system_calls_busy_is_in_use(tmp_path, monkeypatch):
+    def busy(*_):
+        raise OSError(errno.EBUSY, "Device or resource busy")
+
+    monkeypatch.setattr(cameras.os, "open", busy)
+    with pytest.raises(SensorError, match=r"DIGIT \(serial D1.*\) is in use by another program"):
+        check_access(camera_at(tmp_path / "video0"))
 
 
 @linux

@@ -136,6 +136,8 @@ def test_a_late_reader_gets_the_frame_that_is_due_and_closing_ends_the_loop():
     next(reader)
     time.sleep(0.3)
     assert next(reader).index >= 14
+    late = (time.sleep(0.1) or one for one in frames(1))
+    assert len(list(Playback(late, RecordingFacts("x", rate_hz=50.0), paced=True))) == 1, "never the first"
     with Playback(frames(60), RecordingFacts("x")) as source:
         reader = iter(source)
         next(reader)
@@ -307,6 +309,8 @@ def test_a_lost_source_is_opened_again_and_counted_on(device):
         assert grabber.newest(7, timeout_s=0.01) is None
         device.there = True
         device.give(0)
+        assert grabber.newest(7, WAIT_S).index == 8
+        assert grabber.stats.rate_hz == 0, "the time without the source is no time between frames"
         device.give(1)
         assert grabber.newest(8, WAIT_S).index == 9
         assert (grabber.state, grabber.reason) == ("running", "")

@@ -230,9 +230,8 @@ def files_of(folder: Path | None) -> list[Path]:
 def shown_name(name: str) -> str:
     """A name that every page can show and send back: no control codes, no bytes that are no text, not too long."""
     shown = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in name)
-    return (
-        shown if len(shown) <= 150 else f"{shown[:75]}...{shown[-75:]}"
-    )  # a page's message holds 200 letters
+    # A page's message holds 200 letters.
+    return shown if len(shown) <= 150 else f"{shown[:75]}...{shown[-75:]}"
 
 
 def _is_below(path: Path, folder: Path) -> bool:

@@ -155,9 +155,7 @@ class Shown:
     explain: Callable[[], Explanation] | None = None  # on request, because it takes longer than a frame
     problem: str = ""  # why there is no result
     learn: Callable[[], None] | None = None  # learns from the result for the coming frames
-    motion: dict[str, Any] | None = (
-        None  # since the object touched, as `MovedSince` gives it; None if nobody asks
-    )
+    motion: dict[str, Any] | None = None  # since the object touched: `MovedSince`; None if nobody asks
     _made: dict[Any, Any] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 

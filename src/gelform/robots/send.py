@@ -94,9 +94,18 @@ class BagFile:
             raise self._unwritable(problem) from problem
 
     def write(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> None:
-        """Add a frame from the camera, taken at `stamp_ns` (UTC), and its result.
+        """Add a frame and its result.
 
-        It is in mm if indentation or points are written. DataError: the disk is full; nothing is kept.
+        Parameters
+        ----------
+        frame : from the camera
+        result : of the frame, in mm if indentation or points are written
+        stamp_ns : capture time, UTC, ns
+
+        Raises
+        ------
+        DataError
+            The disk is full; nothing is kept.
         """
         try:
             for name, message in self._messages.due(self._topics, frame, result, stamp_ns):

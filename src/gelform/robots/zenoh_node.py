@@ -115,9 +115,13 @@ class ZenohNode:
             self._put[name] = _publisher(self._session, self.node.topic_key(*names), gid_from_token(token))
 
     def publish(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> None:
-        """Send a frame from the camera, taken at `stamp_ns` (UTC), and its result to the subscribers.
+        """Send a frame and its result to the subscribers.
 
-        The result is in mm if indentation or points are published.
+        Parameters
+        ----------
+        frame : from the camera
+        result : of the frame, in mm if indentation or points are published
+        stamp_ns : capture time, UTC, ns
         """
         for name, message in self._messages.due(self._topics, frame, result, stamp_ns):
             self._put[name](bytes(message))

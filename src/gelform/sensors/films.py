@@ -57,9 +57,15 @@ def is_film(spec: str) -> bool:
 
 
 def films_in(folder: Path) -> list[Path]:
-    """The recordings, videos and files of several images in a folder."""
-    found = sorted(folder.iterdir()) if folder.is_dir() else []
-    return [one for one in found if one.suffix.lower() in FILM_SUFFIXES or is_stack(one)]
+    """The recordings, videos and files of several images in a folder; an array of anything else is none of them."""
+
+    def is_one(path: Path) -> bool:
+        try:
+            return path.suffix.lower() in FILM_SUFFIXES or is_stack(path)
+        except DataError:  # opening it says why
+            return False
+
+    return list(filter(is_one, sorted(folder.iterdir()))) if folder.is_dir() else []
 
 
 class Images(Film):

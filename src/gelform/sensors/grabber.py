@@ -31,9 +31,8 @@ class Newest(Generic[Value]):
     def __init__(self, *, keep: int = 1, every: bool = False, rated: int = 60) -> None:
         self.changed = threading.Condition()
         self.number, self.first = -1, 0  # of the newest value, -1 before it, and of the first
-        self.count = self.unseen = (
-            0  # values, and those that newer ones replaced before anyone asked for them
-        )
+        # Number of values, and of those that newer ones replaced before anyone asked for them.
+        self.count = self.unseen = 0
         self.ended = False  # whether no more values will come
         self.error: BaseException | None = None  # that ended it
         self.times_s: deque[float] = deque(maxlen=rated)  # of the last values

@@ -236,11 +236,9 @@ class Dechunker:
                 if end < 0:  # incomplete
                     break
                 text = bytes(self._bytes[start:end]).split(b";")[0].strip()
-                try:
-                    self._left = int(text, 16)
-                except ValueError:
-                    said = f"Expected the size of a chunk, got {text[:20]!r}: torn data."
-                    raise SourceLostError(said) from None
+                if not re.fullmatch(rb"[0-9A-Fa-f]+", text):
+                    raise SourceLostError(f"Expected the size of a chunk, got {text[:20]!r}: torn data.")
+                self._left = int(text, 16)
                 del self._bytes[: end + 2]
                 self.ended = self._left == 0
             taken = bytes(self._bytes[: self._left])

@@ -37,9 +37,7 @@ class SensorProfile:
     # "clockwise" or "counter-clockwise": the order of red, green and blue light around the gel in the image, measured on one
     # unit. Turning the camera keeps it; swapping channels or mirroring the image reverses it.
     light_order: str
-    gel_thickness_mm: float | None = (
-        None  # of its gel at rest, the upper limit of depth; None if no source states it
-    )
+    gel_thickness_mm: float | None = None  # of its gel at rest, the upper limit of depth; None if not stated
 
     def view(self, frame_shape: tuple[int, int]) -> View:
         """The view of frames (H, W) of this sensor, upright or turned by 90 degrees.
@@ -96,9 +94,7 @@ class KnownCamera:
     frame_shape: tuple[int, int]  # (height, width) of its usual mode
     rate_hz: float  # frames per second of that mode
     fourcc: str  # the picture format to request
-    led_levels: int = (
-        0  # LED brightness steps above 0, set through the zoom control; 0 if the LEDs cannot be set
-    )
+    led_levels: int = 0  # LED brightness steps above 0, set through the zoom control; 0 if they cannot be set
     turn: str = "none"  # rotation that makes its frames upright, as in a view
 
     def turned(self, view: View, frame_shape: tuple[int, int], image_shape: tuple[int, int]) -> View | None:
@@ -116,9 +112,7 @@ class KnownSensor:
     """A row of the table."""
 
     profile: SensorProfile | None  # None if no real sensor exists
-    preset: str | None = (
-        None  # function of `gelform.simulate.presets` that makes its simulation; None if there is none
-    )
+    preset: str | None = None  # function of `gelform.simulate.presets` that makes its simulation, if any does
     camera: KnownCamera | None = None  # None if units are built with any camera
 
     def simulated(self) -> SimulatedSensor:

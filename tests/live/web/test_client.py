@@ -138,6 +138,9 @@ def test_planes_are_those_of_the_newest_frame(socket, station):
     say(socket, do="credit")
     wanted = station.newest.planes(WATCH["planes"], "raw")
     assert next_frame(socket)[1] == {one.facts["name"]: one.data for one in wanted}
+    say(socket, **WATCH | {"planes": ["image"]})
+    say(socket, do="credit")
+    assert set(next_frame(socket)[1]) == {"image"}, "the held frame comes again"
 
 
 def test_older_numbers_are_thinned_to_their_deepest():

@@ -7,6 +7,7 @@ import threading
 import time
 from copy import copy
 
+import cv2
 import numpy as np
 import pytest
 
@@ -167,6 +168,16 @@ def test_at_the_end_it_begins_again_where_it_loops_or_is_told_to(shown):
     shown.player.loop()
     shown.player.play()
     until(lambda: shown.numbers.count(0) >= 4)
+
+
+def test_a_single_frame_is_shown_once_though_it_loops(tmp_path):
+    cv2.imwrite(str(tmp_path / "0.png"), np.zeros((4, 4, 3), np.uint8))
+    player = Player(open_film(tmp_path))
+    player.loop(True)
+    source, ending = iter(player), threading.Timer(0.2, player.close)
+    assert next(source).number == 0
+    ending.start()
+    assert next(source, None) is None, "it waits until it is closed"
 
 
 def test_a_damaged_frame_is_said_and_passed_over(recording):

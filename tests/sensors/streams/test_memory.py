@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from gelform import Reconstructor, depth_from_gradients
+from gelform.foundations.findings import Finding
 from gelform.image.frame import Frame
 from gelform.image.health import DepthLimit
 from gelform.result import Reconstruction
@@ -108,6 +109,13 @@ def test_the_memory_learns_against_the_gel_at_rest_whatever_the_zero(reconstruct
     memory.learn = lambda image, result: learned.append(result)
     memory.learn_from(given)
     assert learned == [given.against_rest]
+
+
+def test_a_finding_of_the_sequence_is_not_repeated(reconstruct, pressed):
+    one, other = (Finding(name, "of the sequence", 1.0) for name in ("torn", "other_camera"))
+    memory, mine = Memory(reconstruct, standing=lambda: (one, other)), Finding("torn", "of the image", 0.5)
+    result = replace(reconstruct.from_image(pressed[0]), health=(mine,))
+    assert memory.remembered(pressed[0], result).health == (mine, other)
 
 
 def test_marker_dots_are_followed_from_frame_to_frame(calibration):
@@ -241,7 +249,7 @@ def running(feed, memory):
         pipeline.close()
 
 
-def test_results_drops_ages_and_the_median_of_each_stage_are_counted(reconstruct, at_rest):
+def test_results_drops_ages_and_the_median_of_each_stage_are_counted(reconstruct, at_rest, monkeypatch):
     feed = Stepwise()
     with running(feed, Memory(reconstruct)) as pipeline:
         stats = pipeline.stats()
@@ -254,6 +262,8 @@ def test_results_drops_ages_and_the_median_of_each_stage_are_counted(reconstruct
         for seconds in (0.001, 0.002, 0.5):
             pipeline.took("mine", seconds)
         stats = pipeline.stats()
+        monkeypatch.setattr("gelform.sensors.streams.pipeline.STALE_S", 0.0)
+        assert pipeline.stats().rate_hz == 0, "the last result is old"
     assert (stats.results, stats.drops) == (4, 2)
     assert stats.rate_hz > 0
     assert 3 <= stats.age_s < 60

@@ -228,16 +228,20 @@ def test_what_comes_and_goes_or_rests_there_is_no_mark():
     body[y.min() : y.max() + 1 : 3, x.min() - 40 : x.min() + 1] = True  # narrow tongues that reach it
     assert marks_in([groove] * 4, contact=np.zeros(MARKED_SHAPE, bool)) == ["scratch"]
     assert marks_in([groove] * 4, contact=body) == []
+    ribs = np.indices(MARKED_SHAPE)[0] % 8 < 6  # an object that is nowhere wide
+    assert marks_in([groove] * 4, contact=ribs) == []
 
 
 def test_a_short_groove_is_a_scratch_and_a_short_dark_spot_is_none():
-    """Both 20 px long and about 8 wide: the groove is bright on one side and dark on the other."""
+    """Both 20 px long and about 10 wide: the groove is bright on one side and dark on the other, blue in its middle."""
     y, x = np.mgrid[: MARKED_SHAPE[0], : MARKED_SHAPE[1]]
-    along, across = np.clip((10 - np.abs(x - 90)) / 2, 0, 1), (y - 70) / 2.2
-    groove = 0.2 * along * across * np.exp(0.5 - across**2 / 2)
-    spot = -0.2 * along * np.exp(-(across**4) / 10)
+    along, across = np.clip((10 - np.abs(x - 90)) / 2, 0, 1)[..., None], y - 70
+    middle = np.exp(-((across / 1.6) ** 2) / 2)
+    sides = across / 1.6 * middle
+    groove = along * np.stack([0.3 * sides, 0.3 * sides, -0.1 * middle], axis=-1)
+    spot = -0.2 * along * np.exp(-((across / 2.2) ** 4) / 10)[..., None]
     for name, shape in (("scratch", groove), ("dust", spot)):
-        assert marks_in([REST * (1 + shape[..., None])] * 4) == [name]
+        assert marks_in([REST * (1 + shape)] * 4) == [name]
 
 
 @pytest.fixture(scope="module")
@@ -465,6 +469,10 @@ def test_a_background_can_be_taken_in_any_light_but_not_of_a_pressed_gel(reconst
     last = remembered(memory, dimmed, 30)
     assert "background_refused" not in [finding.name for finding in last.health]
     assert memory.result_from_image(touched[0]).peak_mm == pytest.approx(0.4, abs=0.15)
+    drift = BackgroundDrift(np.mean(at_rest, axis=0, dtype=np.float32))
+    drift.take()
+    still(drift, at_rest[0], memory.result_from_image(dimmed[0]), np.arange(0, 3, 0.5))
+    assert drift.touched.not_since(0.0).all(), "whoever takes one says that nothing touches"
     assert abs(memory.result_from_image(dimmed[0]).depth).max() < 0.02
 
 

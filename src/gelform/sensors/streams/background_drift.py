@@ -102,9 +102,8 @@ class BackgroundDrift:
     def __call__(self, image: Array, result: Reconstruction) -> Map | None:
         """Learn from a frame; the background (H, W, 3) if it has changed, else None."""
         time_s = result.time_s or 0.0
-        if (
-            self._last_s is None or not 0 <= time_s - self._last_s <= 5.0
-        ):  # s without a frame: the past is unknown
+        # After 5 s without a frame the past is unknown.
+        if self._last_s is None or not 0 <= time_s - self._last_s <= 5.0:
             self.touched.everywhere(time_s)
             self._forget(time_s)
         self._last_s = time_s

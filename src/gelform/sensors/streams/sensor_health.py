@@ -116,7 +116,7 @@ def _marks(where: Mask, change: Map, contact: Mask) -> list[Mark]:
         brighter = float(change[mine].mean())
         if name == "dust" and brighter > -DARK:
             continue
-        around = _dilated(mine, 8) & ~mine  # px
+        around = _dilated(mine, 8) & ~mine  # 8 px wide
         # With contact in half of its surroundings, an object rests on the gel, and the gel itself is unchanged.
         if name == "tear" or not float(contact[around].mean()) > 0.5:
             marks.append(Mark(name, area, length, brighter))
