@@ -56,11 +56,7 @@ from gelform.foundations.pictures import picture_bytes
 Pitch = float | Sequence[float]
 SHEET = "sheet.png"
 COLUMNS, ROWS = 6, 4  # of the contact sheet: tiles per row, rows
-TILE_PX, LABEL_PX, GAP_PX = (
-    200,
-    50,
-    8,
-)  # width of a tile, height of the text below it, gap right of it and below
+TILE_PX, LABEL_PX, GAP_PX = 200, 50, 8  # width of a tile, height of the text below it, gap beside and below
 
 
 def finish(
@@ -301,7 +297,8 @@ def _choose_calibration(
 ) -> Calibration:
     """The library's calibration of the unit that the input names; a continued run keeps the one that it started with."""
     unit = unit_of_all(sequence.path for sequence in listing.sequences)
-    if begun := None if anew else read_manifest(output):
+    begun = None if anew else read_manifest(output)
+    if begun is not None:
         unit = replace(unit, digest=begun.calibration_digest, carries=None)
     choice = choose_calibration(unit)
     said(choice.said)

@@ -210,9 +210,8 @@ def _draw_depth(figure: Any, axes: Any, result: Reconstruction, row: int, column
         axes.axvline(column * pitch_x, color=BLUE, linewidth=1, alpha=0.9)
     _draw_scale_bar(axes, left, right, low, high, unit)
     flow = result.markers
-    if flow is not None and len(
-        flow
-    ):  # an arrow from each place at rest; markers that were not found are paler
+    if flow is not None and len(flow):
+        # An arrow from each place at rest; markers that were not found are paler.
         (x, y), (dx, dy) = (one.T * [[pitch_x], [pitch_y]] for one in (flow.rest_px, flow.displacement_px))
         shades = [(1.0, 1.0, 1.0, 1.0 if seen else 0.3) for seen in flow.seen]
         how = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004, "headwidth": 4}
@@ -334,9 +333,8 @@ class Comparison:
     peak_a: float  # their deepest points
     peak_b: float
     difference_rms: float  # of B minus A over the frame
-    angle_deg: (
-        float | None
-    )  # mean angle between normals inside the contact of either; None if neither has one
+    # Mean angle between their normals, inside the contact of either; None if neither has one.
+    angle_deg: float | None
     curl_rms_a: float  # deviation of the slopes from those of a surface, slope per pixel
     curl_rms_b: float
 
