@@ -271,10 +271,11 @@ def explanation_picture(explanation: Explanation, image: ArrayLike) -> Image:
     """
     shown = check_image(image, shape=explanation.confidence.shape).astype(np.uint8)
     there = {name: one for name, one in explanation.maps.items() if (one > 0).mean() >= LEAST_SHARE}
-    rows = 1 + -(-len(there) // 4)
-    height = (WIDTH - 1.5) / 4 * shown.shape[0] / shown.shape[1] + 0.6
+    columns = 4
+    rows = 1 + -(-len(there) // columns)
+    height = (WIDTH - 1.5) / columns * shown.shape[0] / shown.shape[1] + 0.6
     figure = canvas(WIDTH, rows * height + 0.5 + 0.2 * len(explanation.findings))
-    grid = figure.subplots(rows, 4, squeeze=False)
+    grid = figure.subplots(rows, columns, squeeze=False)
     trusted = 100 * float((explanation.confidence >= 0.5).mean())
     headline = (
         f"{trusted:.1f} % of the pixels have a confidence of 0.5 or more   |   {USUAL}: "
