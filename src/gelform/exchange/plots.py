@@ -380,9 +380,22 @@ def comparison_picture(
 ) -> Image:
     """The image, both depths on one scale, their difference, and both profiles through A's deepest point.
 
-    The results are of the same image (H, W, 3) RGB, by the calibrations of these names; the picture is (h, w, 3) uint8, RGB.
+    Parameters
+    ----------
+    a, b : results of the same image
+    image : (H, W, 3) RGB
+    names : of the two calibrations
 
-    GelformError: matplotlib is not installed.
+    Returns
+    -------
+    picture : (h, w, 3) uint8, RGB
+
+    Raises
+    ------
+    GelformError
+        matplotlib is not installed.
+    ValueError
+        The image or the results differ in size.
     """
     compared = compare_results(a, b)
     shown = check_image(image, shape=a.shape).astype(np.uint8)
