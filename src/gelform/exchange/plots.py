@@ -392,10 +392,12 @@ def comparison_picture(
 
     Raises
     ------
+    DataError
+        The results differ in size.
     GelformError
         matplotlib is not installed.
     ValueError
-        The image or the results differ in size.
+        The image has another size.
     """
     compared = compare_results(a, b)
     shown = check_image(image, shape=a.shape).astype(np.uint8)
