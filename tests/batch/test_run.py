@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from multiprocessing import active_children
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -130,6 +131,19 @@ def test_a_background_of_each_sequence(two_lights, cal, tmp_path):
     for part in plan_of(listing_of(two_lights), 1, 1):
         (row,) = worker.do(part).rows
         assert abs(row["deepest_mm"]) < 0.02, row
+
+
+def test_after_a_lack_of_memory_no_frame_gets_the_background_of_another_sequence(two_lights, cal, tmp_path):
+    """The second sequence has two frames; memory lacks while its background is prepared for the first of them."""
+    worker = Worker(job(cal, tmp_path / "out", background_frames=1))
+    first, second = plan_of(listing_of(two_lights), 2, 1)
+    worker.do(first)
+    with patch(
+        "gelform.batch.work.background_of_film", side_effect=[MemoryError, image_of(None)]
+    ) as prepared:
+        without, row = worker.do(second).rows
+    assert "Not enough memory" in without["error"]
+    assert (prepared.call_count, row["error"]) == (2, "")
 
 
 def test_a_sequence_without_a_background_has_its_reason_in_every_row(tree, cal, tmp_path):
