@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import gelform
+from gelform.calibration.presses.press_set import Presses
 from gelform.simulate import SimulatedPresses
 
 DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -36,32 +37,32 @@ def reference_circles() -> dict[str, Circle]:
         }
 
 
-def mini_ball() -> tuple[gelform.Presses, list[int]]:
+def mini_ball() -> tuple[Presses, list[int]]:
     """The presses, labeled with the reference circles, and their order by name."""
     presses, circles = gelform.read_presses(DATA / "mini-ball"), reference_circles()
     labeled = tuple(replace(p, label=circles[p.name]) for p in presses.presses)
     return replace(presses, presses=labeled), by_name(presses)
 
 
-def by_name(presses: gelform.Presses) -> list[int]:
+def by_name(presses: Presses) -> list[int]:
     """The indices of the presses in the order of their names."""
     return sorted(range(len(presses.presses)), key=lambda i: presses.presses[i].name)
 
 
-def unlabeled(presses: gelform.Presses, indices: Sequence[int] | None = None) -> gelform.Presses:
+def unlabeled(presses: Presses, indices: Sequence[int] | None = None) -> Presses:
     """These presses, or all, without their circles."""
     chosen = presses.presses if indices is None else [presses.presses[i] for i in indices]
     return replace(presses, presses=tuple(replace(press, label=None) for press in chosen))
 
 
-def labeled(presses: gelform.Presses) -> gelform.Presses:
+def labeled(presses: Presses) -> Presses:
     """The presses accepted by a calibration on all, without a starter, with its circles; people's labels stay."""
     if presses.presses[0].label is not None:
         return presses
     return with_circles(presses, gelform.calibrate(presses, start=None))
 
 
-def with_circles(presses: gelform.Presses, calibration: gelform.Calibration) -> gelform.Presses:
+def with_circles(presses: Presses, calibration: gelform.Calibration) -> Presses:
     """The presses that a calibration accepted, with its circles."""
     rows = calibration.report.presses
     kept = (
@@ -72,7 +73,7 @@ def with_circles(presses: gelform.Presses, calibration: gelform.Calibration) -> 
     return replace(presses, presses=tuple(kept))
 
 
-def presses_of(made: SimulatedPresses) -> gelform.Presses:
+def presses_of(made: SimulatedPresses) -> Presses:
     """Simulated presses in the form that calibration reads."""
     with tempfile.TemporaryDirectory() as folder:
         gelform.save_simulated_presses(Path(folder) / "presses", made, truth=False)

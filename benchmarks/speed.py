@@ -32,6 +32,7 @@ import numpy as np
 import gelform
 import gelform.depth.integrate
 import gelform.reconstruct
+from gelform.calibration.presses.press_set import Presses
 from gelform.depth.contact import PreparedContact, contacts_from_mask
 from gelform.depth.sigma import DepthErrors
 from gelform.exchange.exporters.press_folder import save_press_folder
@@ -146,7 +147,7 @@ def against(ref: str, quick: bool) -> None:
         compare(ref, frames[-1:] if quick else frames, quick=quick)
 
 
-def shown_press(presses: gelform.Presses) -> np.ndarray:
+def shown_press(presses: Presses) -> np.ndarray:
     """The press that is timed: the second by name, which a calibration on every third does not see."""
     return presses.presses[by_name(presses)[1]].image
 

@@ -20,6 +20,7 @@ import gelform
 from accuracy.real import EDGES, KEYS, scored, summary
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.inputs import MOST_SIGMAS, ball_readings
+from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report import report_content
 from gelform.calibration.start import start_from
 from gelform.calibration.starters import load_starter
@@ -39,12 +40,12 @@ SHOWN = (*KEYS, *SHARES)
 UNSEEN = 11  # number of a simulated unit outside the starter
 
 
-def mini_d() -> gelform.Presses:
+def mini_d() -> Presses:
     """mini-d with its likely diameter and the circles for scoring."""
     return labeled(real_unit("mini-d"))
 
 
-def judged(calibration: gelform.Calibration, presses: gelform.Presses, edge: float) -> dict[str, float]:
+def judged(calibration: gelform.Calibration, presses: Presses, edge: float) -> dict[str, float]:
     """Errors on labeled presses; shares of slopes inside the edge within one sigma, and of sure pixels in 0.6 of it."""
     reconstruct, rows, within = gelform.Reconstructor(calibration), [], []
     pitch = calibration.known_mm_per_px
@@ -83,7 +84,7 @@ def of_one(calibration: gelform.Calibration) -> Starter:
     return starter_from_calibration(calibration, "gelsight-mini", units=("one",), **stated)
 
 
-def _folds(presses: gelform.Presses, edge: float) -> dict[str, float]:
+def _folds(presses: Presses, edge: float) -> dict[str, float]:
     parts = []
     for fold in range(FOLDS):
         others, own = (
@@ -111,7 +112,7 @@ def presses(draws: int = DRAWS) -> dict[str, Any]:
 
 def _drawn(
     name: str,
-    known: gelform.Presses,
+    known: Presses,
     unit: gelform.Calibration,
     size: int,
     draws: int,
@@ -146,7 +147,7 @@ def balls() -> dict[str, Any]:
     return found
 
 
-def _verdict(presses: gelform.Presses) -> str:
+def _verdict(presses: Presses) -> str:
     try:
         calibration = gelform.calibrate(presses)
     except CalibrationError as problem:
@@ -164,7 +165,7 @@ def _read_by_others() -> dict[str, Any]:
     """Diameters of Minis recovered with presses of other units, over the right ones, and the factors that are detected."""
     ball, order = mini_ball()
     halves = [order[0::2], order[1::2]]
-    cases: list[tuple[str, gelform.Presses, Any]] = []
+    cases: list[tuple[str, Presses, Any]] = []
     other = real_unit("mini-d")
     of_ball = of_one(gelform.calibrate(unlabeled(ball), start=None))
     unit = unit_of(of_ball, other.background, other.mm_per_px)

@@ -19,6 +19,7 @@ import gelform
 from accuracy.heights import DRAWN, drawn_sensor
 from accuracy.objects import OBJECTS, height_of, usual_presses
 from accuracy.real import EDGES
+from gelform.calibration.presses.press_set import Presses
 from gelform.simulate import LAYOUTS
 from gelform.simulate.presets import gelsight_mini
 from presses import data_is_missing, presses_of, unlabeled
@@ -33,7 +34,7 @@ SHARES = ("within 1 sigma", "within 2 sigma", "sure", "sure in 0.6")
 
 
 def of_balls(
-    calibration: gelform.Calibration, presses: gelform.Presses, edge: float, steeper: float = 0.0
+    calibration: gelform.Calibration, presses: Presses, edge: float, steeper: float = 0.0
 ) -> dict[str, float]:
     """Shares (percent) of the slopes inside the edge of labeled presses, of those that are truly steeper than a limit."""
     reconstruct, rows = gelform.Reconstructor(calibration), []

@@ -19,6 +19,7 @@ import numpy as np
 
 import gelform
 from gelform.calibration.coverage import COARSE, tile_of
+from gelform.calibration.presses.press_set import Presses
 from gelform.result.metrics import ball_center, press_errors, score_slopes
 from presses import DATA, labeled, mini_ball, unlabeled
 from report import table
@@ -70,13 +71,13 @@ def held_out(splits: Iterable[Split], quick: bool, score: Score | None = None) -
     return figures
 
 
-def calibrated(presses: gelform.Presses) -> tuple[gelform.Calibration, float]:
+def calibrated(presses: Presses) -> tuple[gelform.Calibration, float]:
     """A calibration without labeled circles, and its CPU seconds."""
     began = time.process_time()
     return gelform.calibrate(unlabeled(presses)), time.process_time() - began
 
 
-def with_results(calibration: gelform.Calibration, presses: gelform.Presses) -> Iterator[Any]:
+def with_results(calibration: gelform.Calibration, presses: Presses) -> Iterator[Any]:
     """Each press and its result."""
     reconstruct = gelform.Reconstructor(calibration)
     for press in presses.presses:
@@ -152,7 +153,7 @@ def sigma(quick: bool) -> dict[str, Any]:
     return figures
 
 
-def _within(presses: gelform.Presses, training: list[int], test: list[int]) -> dict[str, Any]:
+def _within(presses: Presses, training: list[int], test: list[int]) -> dict[str, Any]:
     calibration = gelform.calibrate(unlabeled(presses, training))
     reconstruct = gelform.Reconstructor(calibration)
     slopes, shapes, normals = [], [], []

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 import gelform
+from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.starters import load_starter
 from gelform.calibration.starters.starter import starter_from_calibration
 from presses import DATA, labeled, mini_ball, presses_of, unlabeled
@@ -69,7 +70,7 @@ class Run:
         found: T = self._made[name]
         return found
 
-    def presses(self, name: str) -> gelform.Presses:
+    def presses(self, name: str) -> Presses:
         """The presses of a set; those of mini-ball have the circles for scoring."""
         return mini_ball()[0] if name == "mini-ball" else gelform.read_presses(DATA / name)
 

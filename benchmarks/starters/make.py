@@ -28,6 +28,7 @@ from gelform.calibration.circles.find import (
 )
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.inputs import INNER
+from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.selection import SlopeReader, step_sigma_of
 from gelform.calibration.starters.starter import (
     Starter,
@@ -90,18 +91,18 @@ def make(folder: Path = FOLDER) -> None:
         )
 
 
-def real_unit(name: str) -> gelform.Presses:
+def real_unit(name: str) -> Presses:
     """The presses of a set, mini-d's with the likely diameter of its ball."""
     return stated(gelform.read_presses(DATA / name), LIKELY if name == "mini-d" else 1.0)
 
 
-def stated(presses: gelform.Presses, factor: float) -> gelform.Presses:
+def stated(presses: Presses, factor: float) -> Presses:
     """The same images, with stated diameters multiplied by a factor."""
     balls = (replace(one, ball_diameter_mm=one.ball_diameter_mm * factor) for one in presses.presses)
     return replace(presses, presses=tuple(balls))
 
 
-def simulated_unit(number: int, layout: str = LAYOUT) -> gelform.Presses:
+def simulated_unit(number: int, layout: str = LAYOUT) -> Presses:
     """Presses of a unit of a simulated layout; lamps and gel differ slightly between units."""
     rng = np.random.default_rng([31, number])
     presses = simulate_ball_presses(
@@ -125,7 +126,7 @@ def varied(sensor: SimulatedSensor, rng: np.random.Generator) -> SimulatedSensor
 
 
 def of_units(
-    units: Sequence[gelform.Presses], sensor: str, said: tuple[str, ...], teaching: int | None = None
+    units: Sequence[Presses], sensor: str, said: tuple[str, ...], teaching: int | None = None
 ) -> Starter:
     """The starter of several units: common models of the first `teaching` ones, and how far one's is off on another."""
     own = [gelform.calibrate(unlabeled(one), start=None) for one in units]
@@ -163,7 +164,7 @@ def unit_of(starter: Starter, background: np.ndarray, mm_per_px: float | None = 
         return starter.for_unit(background, mm_per_px=mm_per_px)
 
 
-def color_variance(starter: Starter, presses: gelform.Presses) -> float:
+def color_variance(starter: Starter, presses: Presses) -> float:
     """Variance of the colors of labeled presses around the starter's response, over the variance that the response states.
 
     Measured in 0.6 of the circles, at the balls' slopes, with free centers.
@@ -189,7 +190,7 @@ def color_variance(starter: Starter, presses: gelform.Presses) -> float:
     return float(np.trace(np.linalg.solve(unit.forward.covariance, error.T @ error / len(error))) / 3)
 
 
-def gains_on(starter: Starter, presses: gelform.Presses) -> list[float]:
+def gains_on(starter: Starter, presses: Presses) -> list[float]:
     """Slopes that a starter gives on each labeled press of another unit, over the ball's, inside the contact."""
     unit = unit_of(starter, presses.background, presses.mm_per_px)
     reconstruct, gains = gelform.Reconstructor(unit), []
@@ -214,7 +215,7 @@ def light_at_scale(starter: Starter, mm_per_px: float) -> np.ndarray:
 
 
 def common_models(
-    units: Sequence[gelform.Presses], own: Sequence[gelform.Calibration], mean: Starter
+    units: Sequence[Presses], own: Sequence[gelform.Calibration], mean: Starter
 ) -> tuple[HierarchicalModel, ForwardResponse]:
     """Color model and forward response of the samples of several units, all as they were on the first one's images."""
     made, parts, deep = mean.calibration, [], []
@@ -237,13 +238,13 @@ def common_models(
     return common, replace(forward, residual_scale=made.forward.residual_scale, clipped=made.forward.clipped)
 
 
-def pressed_of(presses: gelform.Presses, offset: float) -> tuple[list[PreparedPress], list[ContactCircle]]:
+def pressed_of(presses: Presses, offset: float) -> tuple[list[PreparedPress], list[ContactCircle]]:
     """The accepted presses of a unit and their circles."""
     located = locate(unlabeled(presses))
     return located.refined.of_accepted(prepared_with(located.presses, located.prepared, offset))
 
 
-def as_first(samples: Samples, mean: Starter, presses: gelform.Presses) -> Samples:
+def as_first(samples: Samples, mean: Starter, presses: Presses) -> Samples:
     """Samples of a unit as they were on the first one's images, under the mean light: those that lie on them."""
     made, light = mean.calibration, light_from_background(presses.background)[0]
     wider = presses.mm_per_px / made.known_mm_per_px

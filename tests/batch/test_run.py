@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from multiprocessing import active_children
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -132,6 +133,19 @@ def test_a_background_of_each_sequence(two_lights, cal, tmp_path):
         assert abs(row["deepest_mm"]) < 0.02, row
 
 
+def test_after_a_lack_of_memory_no_frame_gets_the_background_of_another_sequence(two_lights, cal, tmp_path):
+    """The second sequence has two frames; memory lacks while its background is prepared for the first of them."""
+    worker = Worker(job(cal, tmp_path / "out", background_frames=1))
+    first, second = plan_of(listing_of(two_lights), 2, 1)
+    worker.do(first)
+    with patch(
+        "gelform.batch.work.background_of_film", side_effect=[MemoryError, image_of(None)]
+    ) as prepared:
+        without, row = worker.do(second).rows
+    assert "Not enough memory" in without["error"]
+    assert (prepared.call_count, row["error"]) == (2, "")
+
+
 def test_a_sequence_without_a_background_has_its_reason_in_every_row(tree, cal, tmp_path):
     (tree / "frame1.png").write_bytes(b"")
     parts = plan_of(listing_of(tree), 256, 1)
@@ -218,6 +232,7 @@ def test_a_recording_that_was_copied_in_part_is_a_warning(tmp_path, cal):
 
 
 def test_a_whole_output_and_a_part_that_is_not_done(output):
+    (output / "frames" / ".gelform-0123456789ab.tmp").touch()  # of a killed run
     assert verify_output(output) == (8, 4, [])
     record_path(output, 2).unlink()
     assert "1 of 3 parts are not done" in verify_output(output)[2][0].what

@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -96,6 +97,9 @@ def test_markers_are_arrows_on_the_depth():
         left, top, width, height = largest_patch(drawn)
         white.append(np.count_nonzero(near(drawn[top : top + height, left : left + width], (255, 255, 255))))
     assert white[1] > white[0] + 100
+    with patch("matplotlib.axes.Axes.quiver") as quiver:
+        picture(replace(bare, markers=flow, mm_per_px=(0.05, 0.1)))
+    np.testing.assert_allclose(quiver.call_args.args, [[1, 2], [2, 3], [0.4, 0.4], [0.8, 0.8]], rtol=1e-6)
 
 
 @pytest.mark.filterwarnings("error")

@@ -98,13 +98,18 @@ def test_it_is_the_numpy_paths(settings, dtype, shape):
 SHAPE = 12, 16
 BACKGROUND = np.full((*SHAPE, 3), 90.0, np.float32)
 LIGHTS = np.array([[0.5, 0.1, 1], [-0.3, 0.4, 1], [-0.2, -0.6, 1]])
+FROM_ONE_SIDE = np.array([[0.5, 0.1, 1], [0.4, 0.5, 1], [0.6, -0.4, 1]])  # some pixels get the largest slope
 POSITIONS_PX = np.array([[0.0, 20, 9], [18, -9, 8], [-17, -8, 10]])
 
 
 @pytest.mark.parametrize(
     "model",
-    [LambertianModel(LIGHTS, 0.8), NearLightModel(POSITIONS_PX, np.eye(3) + 0.1, 2.0, 1.0, SHAPE)],
-    ids=lambda model: model.name,
+    [
+        LambertianModel(LIGHTS, 0.8),
+        LambertianModel(FROM_ONE_SIDE, 1.0),
+        NearLightModel(POSITIONS_PX, np.eye(3) + 0.1, 2.0, 1.0, SHAPE),
+    ],
+    ids=["lambertian", "in_shadow", "near_light"],
 )
 def test_photometric_stereo_is_the_models_own(model):
     change = np.random.default_rng(0).uniform(-0.3, 0.5, (*SHAPE, 3)).astype(np.float32)

@@ -155,9 +155,8 @@ class PartRecord:
     """A finished part, or the end of a batch, which has files and no rows."""
 
     input_digest: str  # of the part's files (see `Part.input_digest`)
-    rows: tuple[
-        dict[str, Any], ...
-    ]  # of a frame: the table's columns; `bytes` and `sha256` of a file of its own
+    # Of each frame the table's columns; and `bytes` and `sha256` if it has a file of its own.
+    rows: tuple[dict[str, Any], ...]
     files: tuple[OutputFile, ...] = ()  # with several frames
 
     @property
@@ -266,9 +265,8 @@ def write_table(output: Path, parts: int, form: str) -> None:
             group: list[dict[str, Any]] = []
             for number, record in enumerate(done_records(output, parts), 1):
                 group += record.rows
-                if (
-                    number % 100 == 0 or number == parts
-                ) and group:  # parts of a row group, which is in memory
+                # A row group of a hundred parts is in memory at once.
+                if group and (number % 100 == 0 or number == parts):
                     columns = (([_cell(row[one.name]) for row in group], one.type) for one in schema)
                     writer.write_table(pyarrow.table([pyarrow.array(*one) for one in columns], schema=schema))
                     group = []

@@ -56,11 +56,8 @@ from gelform.foundations.pictures import picture_bytes
 Pitch = float | Sequence[float]
 SHEET = "sheet.png"
 COLUMNS, ROWS = 6, 4  # of the contact sheet: tiles per row, rows
-TILE_PX, LABEL_PX, GAP_PX = (
-    200,
-    50,
-    8,
-)  # width of a tile, height of the text below it, gap right of it and below
+TILE_PX, LABEL_PX, GAP_PX = 200, 50, 8  # width of a tile, height of the text below it, gap beside and below
+GAP_LEVEL = 90  # gray level of gaps
 
 
 def finish(
@@ -119,7 +116,7 @@ def contact_sheet(
     if not tiles:
         return b""
     blank = np.zeros_like(tiles[0])
-    blank[-GAP_PX:] = blank[:, -GAP_PX:] = 90
+    blank[-GAP_PX:] = blank[:, -GAP_PX:] = GAP_LEVEL
     tiles += [blank] * (-len(tiles) % COLUMNS)
     lines = [np.hstack(tiles[k : k + COLUMNS]) for k in range(0, len(tiles), COLUMNS)]
     return picture_bytes(np.vstack(lines)[..., ::-1])  # OpenCV colors tiles in BGR
@@ -148,7 +145,7 @@ def _tile(depth: NDArray[Any], name: str, note: str, pitch: float | None, unit: 
         cv2.putText(
             tile, text, (x, height + y), cv2.FONT_HERSHEY_SIMPLEX, 0.36, (255, 255, 255), 1, cv2.LINE_AA
         )
-    return cv2.copyMakeBorder(tile, 0, GAP_PX, 0, GAP_PX, cv2.BORDER_CONSTANT, value=[90] * 3)
+    return cv2.copyMakeBorder(tile, 0, GAP_PX, 0, GAP_PX, cv2.BORDER_CONSTANT, value=[GAP_LEVEL] * 3)
 
 
 @dataclass(frozen=True)
@@ -301,7 +298,8 @@ def _choose_calibration(
 ) -> Calibration:
     """The library's calibration of the unit that the input names; a continued run keeps the one that it started with."""
     unit = unit_of_all(sequence.path for sequence in listing.sequences)
-    if begun := None if anew else read_manifest(output):
+    begun = None if anew else read_manifest(output)
+    if begun is not None:
         unit = replace(unit, digest=begun.calibration_digest, carries=None)
     choice = choose_calibration(unit)
     said(choice.said)

@@ -102,7 +102,7 @@ class Worker:
         job, name = self.job, part.film.name
         own = name if job.settings.background_frames or job.background_files else None
         if self._prepared_for != (own,):
-            self._prepared_for, background = (own,), job.background
+            background = job.background
             try:
                 if job.settings.background_frames:
                     background = background_of_film(part, job.settings.background_frames, job.calibration)
@@ -113,6 +113,7 @@ class Worker:
                 )
             except GelformError as problem:
                 self._reconstruct = problem
+            self._prepared_for = (own,)  # not after a lack of memory, which may be over at the next frame
         if isinstance(self._reconstruct, GelformError):
             raise self._reconstruct
         return self._reconstruct

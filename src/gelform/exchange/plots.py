@@ -210,9 +210,8 @@ def _draw_depth(figure: Any, axes: Any, result: Reconstruction, row: int, column
         axes.axvline(column * pitch_x, color=BLUE, linewidth=1, alpha=0.9)
     _draw_scale_bar(axes, left, right, low, high, unit)
     flow = result.markers
-    if flow is not None and len(
-        flow
-    ):  # an arrow from each place at rest; markers that were not found are paler
+    if flow is not None and len(flow):
+        # An arrow from each place at rest; markers that were not found are paler.
         (x, y), (dx, dy) = (one.T * [[pitch_x], [pitch_y]] for one in (flow.rest_px, flow.displacement_px))
         shades = [(1.0, 1.0, 1.0, 1.0 if seen else 0.3) for seen in flow.seen]
         how = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004, "headwidth": 4}
@@ -272,10 +271,11 @@ def explanation_picture(explanation: Explanation, image: ArrayLike) -> Image:
     """
     shown = check_image(image, shape=explanation.confidence.shape).astype(np.uint8)
     there = {name: one for name, one in explanation.maps.items() if (one > 0).mean() >= LEAST_SHARE}
-    rows = 1 + -(-len(there) // 4)
-    height = (WIDTH - 1.5) / 4 * shown.shape[0] / shown.shape[1] + 0.6
+    columns = 4
+    rows = 1 + -(-len(there) // columns)
+    height = (WIDTH - 1.5) / columns * shown.shape[0] / shown.shape[1] + 0.6
     figure = canvas(WIDTH, rows * height + 0.5 + 0.2 * len(explanation.findings))
-    grid = figure.subplots(rows, 4, squeeze=False)
+    grid = figure.subplots(rows, columns, squeeze=False)
     trusted = 100 * float((explanation.confidence >= 0.5).mean())
     headline = (
         f"{trusted:.1f} % of the pixels have a confidence of 0.5 or more   |   {USUAL}: "
@@ -334,9 +334,8 @@ class Comparison:
     peak_a: float  # their deepest points
     peak_b: float
     difference_rms: float  # of B minus A over the frame
-    angle_deg: (
-        float | None
-    )  # mean angle between normals inside the contact of either; None if neither has one
+    # Mean angle between their normals, inside the contact of either; None if neither has one.
+    angle_deg: float | None
     curl_rms_a: float  # deviation of the slopes from those of a surface, slope per pixel
     curl_rms_b: float
 
@@ -381,9 +380,24 @@ def comparison_picture(
 ) -> Image:
     """The image, both depths on one scale, their difference, and both profiles through A's deepest point.
 
-    The results are of the same image (H, W, 3) RGB, by the calibrations of these names; the picture is (h, w, 3) uint8, RGB.
+    Parameters
+    ----------
+    a, b : results of the same image
+    image : (H, W, 3) RGB
+    names : of the two calibrations
 
-    GelformError: matplotlib is not installed.
+    Returns
+    -------
+    picture : (h, w, 3) uint8, RGB
+
+    Raises
+    ------
+    DataError
+        The results differ in size.
+    GelformError
+        matplotlib is not installed.
+    ValueError
+        The image has another size.
     """
     compared = compare_results(a, b)
     shown = check_image(image, shape=a.shape).astype(np.uint8)

@@ -134,6 +134,7 @@ def test_loads_are_added_to_the_calibration_and_measured(
     assert float(whole[2]) == 100 * errors["normal"][-1]["refused"]
     assert float(whole[-1]) == 100 * errors["normal"][-1]["within_2"]
     assert re.search(r"Errors of the normal force are [\d.e-]+ times the stated sigma\.", err)
+    assert "Calibrate again" not in err
     err = works("force", "calibrate", loads, "-c", own, "-o", tmp_path / "other.npz")[1]
     assert f"normal: {said['normal']['loads']} loads" in err
     assert (tmp_path / "other.npz").is_file()

@@ -175,6 +175,9 @@ def test_it_goes_on_where_it_was(run, works, calibration_file, press_folder, tmp
     assert said.count(".npz") == 1
     assert load_result(out / "0001.npz")
     assert (out / "0002.npz").read_text() == "mine"
+    more = ("-c", calibration_file, "-o", out, "--skip-existing", "--format", "npz,ply")
+    works("reconstruct", images[1], *more)
+    assert (out / "0001.ply").exists(), "one of two files is no result to skip"
 
 
 def test_a_frame_of_which_nothing_is_known_has_dashes(run, run_json, tmp_path):

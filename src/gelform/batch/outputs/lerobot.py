@@ -52,6 +52,7 @@ from gelform.robots.lerobot_depth import (
 SUFFIX = "_depth"  # the depth feature's name ends so, after the camera's
 AXES = ("x_n", "y_n", "z_n")  # of a force, along the image's axes and away from the camera
 MAX_CODE = 4095  # largest 12-bit code
+FILES_IN_A_CHUNK = 1000  # LeRobot's own default
 EPISODES = "lerobot"  # folder next to the records of parts: entries of each episode for the tables
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
@@ -191,8 +192,8 @@ def force_key(key: str) -> str:
 
 
 def video_path(key: str, episode: int) -> str:
-    """The path of an episode's video below the data set; a chunk has LeRobot's default of a thousand files."""
-    chunk, file = divmod(episode, 1000)
+    """The path of an episode's video below the data set."""
+    chunk, file = divmod(episode, FILES_IN_A_CHUNK)
     return VIDEO_PATH.format(video_key=key, chunk_index=chunk, file_index=file)
 
 
@@ -347,7 +348,7 @@ def _table(path: Path, episodes: Episodes, forces: Vectors) -> bytes:
 
 def _columns(key: str, facts: dict[str, Any]) -> dict[str, Any]:
     """Place, times and statistics of an episode's depth."""
-    chunk, file = divmod(facts["episode_index"], 1000)
+    chunk, file = divmod(facts["episode_index"], FILES_IN_A_CHUNK)
     duration_s = facts["length"] / facts["feature"]["info"]["video.fps"]
     return {
         f"videos/{key}/chunk_index": chunk,

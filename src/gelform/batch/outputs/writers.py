@@ -18,8 +18,6 @@ from gelform.foundations.files import npz_bytes
 from gelform.foundations.pictures import FAST_PNG, picture_bytes
 from gelform.result import Reconstruction, save_result
 
-# This is 10 % faster and 5 % smaller than without: the low bits of depth are noise without patterns longer than a run.
-
 
 class FrameFiles(PartWriter):
     """Writes frames/<sequence>/<frame>.npz or .png."""
@@ -32,6 +30,7 @@ class FrameFiles(PartWriter):
         """The file's bytes; the whole result if everything is kept."""
         settings = self._target.settings
         if settings.form == "png":
+            # 10 % faster and 5 % smaller than other PNG: the low bits of depth are noise without patterns longer than a run.
             return picture_bytes(maps_of(result, settings)["depth_mm"], settings=FAST_PNG)
         if settings.keep == ("all",):
             return result

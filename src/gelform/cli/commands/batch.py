@@ -159,7 +159,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[BatchSummary], None]]:
         nonlocal last, before
         now = time.monotonic()
         before = summary.parts_done - 1 if before < 0 else before
-        if quiet or now - last < (0.2 if on_screen else 30):  # s
+        if quiet or now - last < (0.2 if on_screen else 30):  # s between lines, which a file keeps
             return
         last = now
         line = _line(summary, now - begin, summary.parts_done - before)
@@ -173,9 +173,8 @@ def _progress(quiet: bool) -> Iterator[Callable[[BatchSummary], None]]:
 def _line(summary: BatchSummary, seconds: float, parts: int) -> str:
     """Parts, rate, time left, errors so far."""
     left = timedelta(seconds=round((summary.parts - summary.parts_done) * seconds / parts))
-    done = (
-        f"{summary.parts_done} of {summary.parts} parts, {summary.frames / max(seconds, 1e-9):.1f} frames/s"
-    )
+    rate_hz = summary.frames / max(seconds, 1e-9)
+    done = f"{summary.parts_done} of {summary.parts} parts, {rate_hz:.1f} frames/s"
     return f"{done}, {left} left, {summary.errors} with errors"
 
 

@@ -24,14 +24,7 @@ from gelform.foundations.findings import FrameTally
 if TYPE_CHECKING:
     from gelform.arrays import Image
 
-FORMATS = (
-    "npz",
-    "png",
-    "ply",
-    "stl",
-    "tiff",
-    "x3p",
-)  # of these, png is a picture; as a surface it would be depth
+FORMATS = ("npz", "png", "ply", "stl", "tiff", "x3p")  # png is a picture; as a surface it would be depth
 SHEET, TILES = "sheet.png", 24  # the contact sheet of --view, and its frames at most
 
 

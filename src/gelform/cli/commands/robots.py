@@ -176,9 +176,8 @@ def track(
     known, follow = given.background_for(loaded), Follower(in_rad, loaded.settings.place_error)
     poses: list[gelform.Tracked] = []
     total = open_film(Path(source)).count if is_film(source) else 0
-    results: dict[
-        int, gelform.Reconstruction
-    ] = {}  # for a surface: of the keyframes, and the last two frames
+    # For a surface: of the keyframes, and of the last two frames.
+    results: dict[int, gelform.Reconstruction] = {}
     opened = partial(gelform.open_source, source, bgr=given.bgr)
     with shown.progress() as progress, gelform.stream(opened, loaded, background=known) as running:
         for number, one in enumerate(_frames_of(source, running)):

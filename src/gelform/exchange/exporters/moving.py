@@ -39,7 +39,7 @@ def save_moving_press(
     # Frames: rest until, pressed and sliding from, until, off the gel from, last. `track` compares with the first contact,
     # so the object goes in within one frame: a contact that grows has another surface.
     steps = (5, 6, 30, 31, 35)
-    deep, slid = (np.interp(range(36), steps, at) for at in ((0, 1, 1, 0, 0), (0, 0, 1, 1, 1)))
+    deep, slid = (np.interp(range(steps[-1] + 1), steps, at) for at in ((0, 1, 1, 0, 0), (0, 0, 1, 1, 1)))
     poses = [Pose(depth_mm * d, (0.9 * s, 0.4 * s), 4.0 * s) for d, s in zip(deep, slid)]  # mm, degrees
     images: list[Image] = []
     rows: list[dict[str, str]] = []

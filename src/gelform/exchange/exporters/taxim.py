@@ -35,11 +35,24 @@ def save_taxim(
 ) -> Path:
     """Write `polycalib.npz`, `bg.jpg`, `real_bg.npy` and a note with the renderer's settings for them.
 
-    The folder is new or empty; it appears complete or not at all. `grad_r` is the blue channel for the renderer "taxim" (and
-    TacEx), and the red one for "isaaclab".
+    Parameters
+    ----------
+    calibration : a Calibration or its file
+    folder : new or empty; appears complete or not at all
+    renderer : "taxim" (and TacEx), whose `grad_r` is the blue channel, or "isaaclab", whose `grad_r` is the red one
 
-    CalibrationError: the calibration was imported without a forward response, or has no mm per px.
-    DataError: the folder is not empty or cannot be written. ValueError: the renderer is unknown.
+    Returns
+    -------
+    folder : Path
+
+    Raises
+    ------
+    CalibrationError
+        The calibration was imported without a forward response, or has no mm per px.
+    DataError
+        The folder is not empty or cannot be written.
+    ValueError
+        The renderer is unknown.
     """
     calibration, folder = as_calibration(calibration), check_path(folder)
     check_choice(renderer, RENDERERS, "renderer")
