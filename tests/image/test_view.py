@@ -16,6 +16,7 @@ from gelform.image.view import (
     FLIPS,
     Lens,
     View,
+    _maps_to_image,
     averaged,
     box_centers,
     frame_px_from_image_px,
@@ -72,6 +73,12 @@ def test_a_plane_is_seen_where_it_is(view):
     x, y = frame_px_from_image_px(pixel_positions(view.shape), view).T
     plane = (40 + 0.31 * (x + 0.5) + 0.17 * (y + 0.5)).reshape(view.shape)
     np.testing.assert_allclose(plane, seen[..., 0], atol=1e-9)
+
+
+def test_maps_that_threads_share_are_read_only():
+    for lens in (None, IDEAL):
+        maps = _maps_to_image(replace(VIEWS[3], lens=lens))[2:]
+        assert not any(one.flags.writeable for one in maps)
 
 
 @settings(max_examples=60, deadline=None)
