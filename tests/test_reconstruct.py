@@ -17,7 +17,7 @@ import gelform
 from gelform.depth.sigma import DepthSigma
 from gelform.image.frame import Frame
 from gelform.image.view import View
-from gelform.reconstruct import ON_DEMAND
+from gelform.reconstruct import ON_DEMAND, FromCalibration
 from gelform.result.maps import MAPS
 from gelform.simulate import Ball, Punch, simulate_press
 from made.images import grid, image_of_dots
@@ -149,6 +149,27 @@ def test_slopes_are_those_of_the_depth_and_better_than_those_read(calibration, s
         solved.append(np.square(result.gradients - made.gradients)[inside].mean())
     assert np.mean(solved) < 0.95 * np.mean(read)
     assert result.curl_rms > 0
+
+
+def test_a_step_takes_the_depth_of_what_is_not_hidden(calibration, press):
+    """Slopes of hidden pixels would be in the depth of the whole frame, and that in all steps."""
+    fixed, read = (
+        FromCalibration(calibration, "auto"),
+        gelform.Reconstructor(calibration)(press.image).gradients,
+    )
+    change, hidden = calibration.color_from_gradients(read), np.zeros(read.shape[:2], dtype=bool)
+    hidden[40:60, 50:80] = True
+    garbled = np.where(hidden[..., None], np.float32(3), read)
+    plain, guarded, open_ = (
+        fixed.stepped(change, slopes, where, None)[0]
+        for slopes, where in ((read, hidden), (garbled, hidden), (garbled, None))
+    )
+    np.testing.assert_array_equal(guarded[~hidden], plain[~hidden])
+    assert np.abs(open_ - plain)[~hidden].max() > 0.01
+    flat = fixed.step(change, read, np.zeros(hidden.shape, np.float32), None).gradients
+    assert np.abs(fixed.stepped(change, read, None, None)[0] - flat).max() > 0.01
+    unstepped = replace(calibration, forward=replace(calibration.forward, step_sigma=None))
+    assert FromCalibration(unstepped, "auto").stepped(change, read, None, None) == (read, None, None)
 
 
 def test_new_background_takes_a_larger_drift(calibration, press, simulated):

@@ -16,7 +16,6 @@ from gelform.depth.integrate import (
     Problem,
     check_weights,
     depth_from_gradients,
-    edge_residuals,
     fitted_surface,
     integrate,
     median_over,
@@ -137,15 +136,6 @@ def test_slopes_at_rest_are_flat_for_every_argument():
     for arguments in ({}, {"weights": np.ones((6, 7))}, {"anchor": 0.1}, {"mask": np.eye(6, 7, dtype=bool)}):
         depth = depth_from_gradients(np.zeros((6, 7, 2)), mm_per_px=0.1, **arguments)
         assert np.array_equal(depth, np.zeros((6, 7)))
-
-
-def test_edge_residuals_name_the_edges_that_contradict():
-    _, gradients, pitch = scene(BUMP, (30, 40), 0.3)
-    gradients[12, 20] += (0.0, 1.0)
-    rx, ry = edge_residuals(depth_from_gradients(gradients, mm_per_px=pitch), gradients, mm_per_px=pitch)
-    assert rx.shape == (30, 39)
-    assert ry.shape == (29, 40)
-    assert np.unravel_index(np.argmax(np.abs(ry)), ry.shape) in [(11, 20), (12, 20)]
 
 
 @pytest.mark.parametrize("axis", [0, 1])

@@ -14,7 +14,6 @@ import numpy as np
 import gelform
 from gelform.calibration.starters import load_starter
 from gelform.depth.contact import contacts_from_mask
-from gelform.depth.integrate import edge_residuals
 from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.exchange.plots import save_picture
 from gelform.foundations.filters import fill_unknown
@@ -65,7 +64,7 @@ def fresh_folder() -> Path:
 
 # Of modules below gelform, beside its own names.
 DEEPER = (
-    ChangeSettings, contacts_from_mask, edge_residuals, fill_unknown,
+    ChangeSettings, contacts_from_mask, fill_unknown,
     image_from_color_change, Lens, MarkerFollower, press_errors, read_background, save_picture, save_press_folder,
 )  # fmt: skip
 # What no argument of a user's goes into: records of results, made by the functions, and a Protocol.

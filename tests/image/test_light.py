@@ -78,6 +78,13 @@ def test_a_large_contact_does_not_pull_the_gain(sensor, rest):
     assert np.abs(seen.gain / (1.08, 0.95, 1.0) - 1).max() < 0.015
 
 
+def test_an_unsure_tilt_to_the_right_is_an_unsure_change_at_the_sides():
+    covariance = np.zeros((3, 4, 4))
+    covariance[:, 1, 1] = 0.1**2
+    found = light.FrameLight(covariance=covariance).change_sigma(np.full((3, 5, 3), 100, np.float32))
+    np.testing.assert_allclose(found, np.tile([0.08, 0.04, 0, 0.04, 0.08], (3, 1)), atol=1e-7)
+
+
 def test_where_nothing_agrees_the_gain_is_unknown_and_its_deviation_says_so(rest):
     """Every part of the frame has another color change."""
     y, x = np.mgrid[: rest.shape[0], : rest.shape[1]] / rest.shape[0]

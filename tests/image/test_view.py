@@ -11,11 +11,12 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from gelform.image.frame import pixels_digest
+from gelform.image.frame import Frame, pixels_digest
 from gelform.image.view import (
     FLIPS,
     Lens,
     View,
+    _maps_to_image,
     averaged,
     box_centers,
     frame_px_from_image_px,
@@ -72,6 +73,12 @@ def test_a_plane_is_seen_where_it_is(view):
     x, y = frame_px_from_image_px(pixel_positions(view.shape), view).T
     plane = (40 + 0.31 * (x + 0.5) + 0.17 * (y + 0.5)).reshape(view.shape)
     np.testing.assert_allclose(plane, seen[..., 0], atol=1e-9)
+
+
+def test_maps_that_threads_share_are_read_only():
+    for lens in (None, IDEAL):
+        maps = _maps_to_image(replace(VIEWS[3], lens=lens))[2:]
+        assert not any(one.flags.writeable for one in maps)
 
 
 @settings(max_examples=60, deadline=None)
@@ -339,3 +346,9 @@ def test_the_digest_is_of_values_shape_and_dtype_and_not_of_the_layout():
     assert pixels_digest(image.copy()) == pixels_digest(image)
     assert pixels_digest(image[:, ::-1]) == pixels_digest(np.ascontiguousarray(image[:, ::-1]))
     assert len(pixels_digest(image)) == 64
+
+
+def test_a_frame_does_not_change():
+    frame = Frame(np.zeros((2, 2, 3), dtype=np.uint8), time_s=1.0, wall_time_ns=2, index=3)
+    with pytest.raises(AttributeError):
+        frame.index = 4

@@ -115,6 +115,16 @@ def thumbnail(html):
     return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
 
 
+def test_an_unknown_pixel_is_no_peak(result):
+    """Room light at the border can make the deepest pixel one that nobody knows."""
+    depth, known = result.depth.copy(), np.ones(result.shape, dtype=bool)
+    depth[0, 0], known[0, 0] = 3.77, False
+    hidden = replace(result, depth=depth, known=known)
+    assert hidden.peak_mm == result.depth_mm.ravel()[1:].max()
+    assert "3.77" not in repr(hidden)
+    assert np.isnan(replace(hidden, known=np.zeros_like(known)).peak_mm)
+
+
 @pytest.fixture
 def asked(result):
     """A result whose confidence and curl are computed on first use, and what was computed."""

@@ -89,8 +89,8 @@ class RestAnchor:
         self._coarse = coarse_of(shape)
         rows, columns = self._coarse.shape
         self._coarse_mm = mm_per_px * sum(self._coarse.pitch_px) / 2
-        # Six floats for a run of pixels and four for a region, as in native/depth/anchor.
-        of_coarse = (6 + 4) * rows * ((columns + 1) // 2) + 4 * rows * columns
+        # Five floats for a run of pixels and four for its region, as in native/depth/anchor/hold.c.
+        of_coarse = (5 + 4) * rows * ((columns + 1) // 2) + 4 * rows * columns
         size = max(4 * shape[1], of_coarse, (rows + 2) * (columns + 2))
         self._pool = Pool(lambda: np.empty(size, dtype=np.float32))
 

@@ -360,9 +360,8 @@ def contact_from_depth(
     if relaxation_mm is not None:
         length = check_positive(relaxation_mm, "relaxation_mm")
         check_within(length, "relaxation_mm", 1e-3, 1e3)  # mm; anything else is a typing error
-    if not (
-        check_number(noise_factor, "noise_factor") > 0 and check_number(min_area_mm2, "min_area_mm2") >= 0
-    ):
+    factor, area = check_number(noise_factor, "noise_factor"), check_number(min_area_mm2, "min_area_mm2")
+    if not (factor > 0 and area >= 0):
         raise ValueError(
             f"Expected noise_factor > 0 and min_area_mm2 >= 0, got {noise_factor} and {min_area_mm2}."
         )

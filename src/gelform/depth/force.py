@@ -42,7 +42,8 @@ class DotMotion(NamedTuple):
 class Touch:
     """The numbers of one result from which a force is read."""
 
-    volume_mm3: float | None = None  # of the depth in the contact; None: no scale, or a zero that was set
+    # Of the depth in the contact; 0 without a contact; None without a scale, or from a zero that was set.
+    volume_mm3: float | None = None
     confidence: float = 0.0  # mean in the contact
     outside_change: float | None = None  # median outside the contact over the mean inside; None: no contact
     border_share: float = 0.0  # the part of the volume that lies in the band along the border

@@ -15,7 +15,7 @@ from gelform._native import is_finite
 from gelform.arrays import Array, Map, Mask, Slopes
 from gelform.depth.coarse import RestAnchor
 from gelform.depth.solvers import SOLVERS, Solution, Solver, Weights
-from gelform.depth.solvers.seam import Pair, differences, edges_from_gradients, residual_rms
+from gelform.depth.solvers.seam import residual_rms
 from gelform.errors import ConvergenceError
 from gelform.foundations.checks import (
     as_array,
@@ -174,31 +174,6 @@ def integrate(
         level=level,
         solver=checked_solver(solver),
     ).solved()
-
-
-def edge_residuals(depth_mm: ArrayLike, gradients: ArrayLike, *, mm_per_px: float | Sequence[float]) -> Pair:
-    """Recovered minus given slope along each edge, mm/mm: it shows the slopes that no surface satisfies.
-
-    Parameters
-    ----------
-    depth_mm : (..., H, W), mm
-    gradients : (..., H, W, 2), mm/mm
-    mm_per_px : float or (x, y), mm
-
-    Returns
-    -------
-    rx : (..., H, W-1) float32
-    ry : (..., H-1, W) float32
-
-    Raises
-    ------
-    ValueError, TypeError
-        Depth or slopes of another shape or not finite, or a pitch that is not positive.
-    """
-    g = check_gradients(gradients)
-    depth = check_map(depth_mm, "depth_mm", shape=(g.shape[-3], g.shape[-2]))
-    recovered, given = differences(depth, check_mm_per_px(mm_per_px)), edges_from_gradients(g)
-    return recovered[0] - given[0], recovered[1] - given[1]
 
 
 @dataclass(frozen=True)

@@ -196,9 +196,8 @@ def _as_float(array: Array, name: str, dtype: Any = np.float32) -> Array:
         np.issubdtype(array.dtype, np.floating) or np.issubdtype(array.dtype, np.integer)
     ):
         raise TypeError(f"Expected {name} as numbers, got {array.dtype}.")
-    with np.errstate(
-        over="ignore", under="ignore"
-    ):  # a value that does not fit becomes infinite and is refused
+    # A value that does not fit becomes infinite and is refused.
+    with np.errstate(over="ignore", under="ignore"):
         return np.ascontiguousarray(array, dtype=dtype).reshape(array.shape)
 
 

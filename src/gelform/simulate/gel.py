@@ -335,9 +335,7 @@ class Surface:
 
     x_mm: Numbers  # (1, W), coordinates of the samples
     y_mm: Numbers  # (H, 1)
-    depth_mm: (
-        Numbers  # (H, W) float64, positive where pressed, negative where the gel rises around the contact
-    )
+    depth_mm: Numbers  # (H, W) float64, positive where pressed, negative where the gel rises around
     gradients: Numbers  # (H, W, 2) float64, mm/mm
     contact: Mask  # (H, W), where gel and indenter touch
 

@@ -166,7 +166,13 @@ class Cylinder(_Sized):
 
 @dataclass(frozen=True)
 class BoxEdge(_Sized):
-    """A long edge of a box, along x: a roof with two equal sides, `angle_deg` between them, 90 for a box."""
+    """A long edge of a box, along x: a roof with two equal sides.
+
+    Attributes
+    ----------
+    length_mm : of the edge
+    angle_deg : between the two sides, 90 for a box
+    """
 
     length_mm: float
     angle_deg: float = 90.0
@@ -192,7 +198,13 @@ class Punch(_Sized):
 
 @dataclass(frozen=True)
 class Pyramid(_Sized):
-    """A square pyramid on a base of that side, its point toward the camera; `angle_deg` is between opposite sides there."""
+    """A square pyramid, its point toward the camera.
+
+    Attributes
+    ----------
+    base_mm : side of the base
+    angle_deg : between opposite sides at the point
+    """
 
     base_mm: float
     angle_deg: float = 120.0
@@ -204,7 +216,13 @@ class Pyramid(_Sized):
 
 @dataclass(frozen=True)
 class Cone(_Sized):
-    """A cone, its point toward the camera: the diameter of its base, and the opening `angle_deg` at the point."""
+    """A cone, its point toward the camera.
+
+    Attributes
+    ----------
+    diameter_mm : of the base
+    angle_deg : the opening at the point
+    """
 
     diameter_mm: float
     angle_deg: float = 120.0
@@ -216,7 +234,13 @@ class Cone(_Sized):
 
 @dataclass(frozen=True)
 class Torus(_Sized):
-    """A ring lying flat; `ring_radius_mm` is from its axis to the middle of the tube, `tube_radius_mm` that of the tube."""
+    """A ring lying flat.
+
+    Attributes
+    ----------
+    ring_radius_mm : from the axis to the middle of the tube
+    tube_radius_mm : of the tube
+    """
 
     ring_radius_mm: float
     tube_radius_mm: float

@@ -42,7 +42,8 @@ class SlopeSigma:
     full_confidence_sigma: float  # that 95 % of the pixels in contact stay under; confidence is 1 up to it
     correlation_px: float  # over this distance the correlated part falls to exp(-1/2) (a Gaussian)
     per_slope: float = 0.0
-    solved_factor: float = 1.0  # of the solved depth's slopes; a surface cannot follow errors that have curl
+    # Of the solved depth's slopes over that of the slopes as read; a surface cannot follow errors that have curl.
+    solved_factor: float = 1.0
     # Deviation of depth far from contacts over the one that the slopes there make; see `gelform.depth.sigma`.
     depth_factor: float = 10.0
     shown: tuple[float, float] = (0.4, 0.6)  # mm/mm, quantiles 0.4 and 0.8 of the slopes of presses

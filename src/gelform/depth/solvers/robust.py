@@ -142,7 +142,9 @@ def confidence_from_curl(
     (ex, ey), mean = edges_from_gradients(g), np.sqrt(mm_per_px[0] * mm_per_px[1])
     circulation = np.float32(mm_per_px[0] / mean) * (ex[:-1] - ex[1:])
     circulation += np.float32(mm_per_px[1] / mean) * (ey[:, 1:] - ey[:, :-1])
-    jumps = tuple(np.square(d).sum(axis=-1) for d in (g[:, 1:] - g[:, :-1], g[1:] - g[:-1]))
+    # Not by a sum over the components, which takes five times as long for two.
+    to_right, to_below = (d[..., 0] ** 2 + d[..., 1] ** 2 for d in (g[:, 1:] - g[:, :-1], g[1:] - g[:-1]))
+    jumps = to_right, to_below
     usual = _usual_circulation(circulation, trusted)
     if trusted is not None:
         across, down = trusted[:, 1:] & trusted[:, :-1], trusted[1:] & trusted[:-1]

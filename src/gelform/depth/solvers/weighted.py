@@ -199,11 +199,8 @@ class AtLeastSolver(MultigridSolver):
             factors = np.where(exceeded, np.float32(0.01), np.float32(1))  # close to none
             given: Weights = factors
             if isinstance(weights, tuple):  # an edge takes the smaller factor of its two pixels
-                across, down = (
-                    np.minimum(factors[:, 1:], factors[:, :-1]),
-                    np.minimum(factors[1:], factors[:-1]),
-                )
-                given = weights[0] * across, weights[1] * down
+                across, down = (np.minimum(m[1:], m[:-1]) for m in (factors.T, factors))
+                given = weights[0] * across.T, weights[1] * down
             elif weights is not None:
                 given = np.asarray(weights * factors, dtype=np.float32)
             solution = super().__call__(gradients, given, mask, anchor)

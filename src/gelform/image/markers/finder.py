@@ -379,14 +379,17 @@ def _dots(darkness: Map, threshold: float, area: float | None) -> tuple[Numbers,
 
 def _peaks(darkness: Map, labels: NDArray[np.int32], count: int) -> Numbers:
     """Largest darkness of each numbered component (1 to count)."""
-    peaks = scipy.ndimage.maximum(darkness, labels, np.arange(1, count + 1))
-    return np.asarray(peaks, dtype=np.float64)
+    peaks, inside = np.zeros(count + 1, dtype=darkness.dtype), labels > 0
+    np.maximum.at(peaks, labels[inside], darkness[inside])  # scipy.ndimage sorts the whole image
+    return peaks[1:].astype(np.float64)
 
 
 def _centers(darkness: Map, labels: NDArray[np.int32], count: int) -> Numbers:
-    """Centers (N, 2), x and y, weighted by the darkness."""
-    centers = scipy.ndimage.center_of_mass(darkness, labels, np.arange(1, count + 1))
-    return np.array(centers, dtype=np.float64).reshape(-1, 2)[:, ::-1]
+    """Centers (N, 2), x and y, weighted by the darkness, which is above 0 there."""
+    rows, columns = np.nonzero(labels)
+    number, weight = labels[rows, columns], darkness[rows, columns].astype(np.float64)
+    total, x, y = (np.bincount(number, weight * at, minlength=count + 1)[1:] for at in (1, columns, rows))
+    return np.stack([x, y], axis=-1) / total[:, None]
 
 
 class CandidateFinder:

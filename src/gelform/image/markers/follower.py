@@ -374,9 +374,8 @@ class MarkerTracker:
         if not len(self):
             return None
         flow = self._follower(pixels, self._shift + self._velocity)
-        if flow.seen.sum() < self._seen - 0.1 * len(
-            self
-        ):  # too many dots are lost: they may be where they were, or at rest
+        # If too many dots are lost, they may be where they were, or at rest.
+        if flow.seen.sum() < self._seen - 0.1 * len(self):
             others = [self._follower(pixels, self._shift), self._follower(pixels)]
             flow = min((flow, *others), key=self._follower.unlikeliness)
         moved = flow.displacement_px - self._shift

@@ -66,19 +66,16 @@ class HierarchicalModel(Stored):
         cls,
         samples: Samples,
         *,
-        position_degrees: tuple[int, ...] = (
-            5,
-            4,
-            3,
-        ),  # in (x, y), of the linear, quadratic, cubic color terms
+        position_degrees: tuple[int, ...] = (5, 4, 3),
         ridge: float = 3e-4,
         start: HierarchicalModel | None = None,
     ) -> HierarchicalModel:
         """Penalized least squares; of samples with `background`, the light at each place is used too.
 
-        Position degrees may be large, since the ridge is 4 times stronger per degree in place and 3 times per degree in
-        color. It is > 0, of a coefficient that is the same everywhere, relative to the samples' weight, for a color change
-        of RMS 1. With the `start` of another unit of the sensor, the coefficients are pulled to its own instead of to 0.
+        `position_degrees` are those in (x, y) of the linear, quadratic, cubic color terms. They may be large, since the
+        ridge is 4 times stronger per degree in place and 3 times per degree in color. `ridge` > 0 is that of a coefficient
+        which is the same everywhere, relative to the samples' weight, for a color change of RMS 1. With the `start` of
+        another unit of the sensor, the coefficients are pulled to its own instead of to 0.
         """
         if not position_degrees or min(position_degrees) < 0 or not ridge > 0:
             raise ValueError(f"Expected position degrees >= 0, ridge > 0, got {position_degrees}, {ridge}.")

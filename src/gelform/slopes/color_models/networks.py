@@ -108,15 +108,16 @@ Answer = Literal["angles", "normals"]
 
 
 class PreparedNetwork:
-    """A network over pixels whose inputs are those at rest plus the color change. It is immutable; threads can share it."""
+    """A network over pixels whose inputs are those at rest plus the color change. It is immutable; threads can share it.
+
+    `channels` of the color change are added to the first three inputs: (2, 1, 0) for B, G, R.
+    """
 
     def __init__(
         self,
         layers: Layers,  # of at least three inputs, the first three being colors
         rest: Map,  # (inputs, N), inputs of each pixel at rest
-        channels: tuple[
-            int, int, int
-        ],  # of the color change, for the first three inputs: (2, 1, 0) for B, G, R
+        channels: tuple[int, int, int],
         scale: Array,  # (3,), of the color change in the inputs' units
         answer: Answer | None = None,  # None: slopes
     ) -> None:

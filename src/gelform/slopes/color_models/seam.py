@@ -70,9 +70,7 @@ class ColorModel(Protocol):
     """A fitted color model; immutable."""
 
     name: ClassVar[str]  # for users and calibration files
-    change_offset: ClassVar[
-        float
-    ]  # gray levels c of its color change `(I - I0)/(I0 + c)`; 0 for laws of physics
+    change_offset: ClassVar[float]  # gray levels c of `(I - I0)/(I0 + c)`; 0 for laws of physics
 
     def gradients_at(self, color_change: Array, x_px: Array, y_px: Array) -> Numbers:
         """Gradients (N, 2) of scattered pixels."""

@@ -130,10 +130,7 @@ class LookupModel(Stored, Untuned):
         samples: Samples,
         *,
         nodes: int = 11,  # per channel: about one for each tenth of the range
-        positions: tuple[int, int] = (
-            3,
-            4,
-        ),  # nodes over (rows, columns); (1, 1) for a table over color alone
+        positions: tuple[int, int] = (3, 4),  # over (rows, columns); (1, 1): over color alone
         smoothness: float = 0.02,  # weight of the second differences, relative to the samples
     ) -> LookupModel:
         """Fit on the samples, in seconds. They are in the order of their presses, so that residuals are of other presses."""
