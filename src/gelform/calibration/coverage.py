@@ -231,10 +231,10 @@ def press_next(
         if helped.max() == 0:
             break
         best = np.flatnonzero(helped >= (1 - 1e-9) * helped.max()).tolist()
-        k = max(
-            best,
-            key=lambda k: min((np.hypot(points[k][0] - x, points[k][1] - y) for x, y in pressed), default=0),
-        )
+        apart = [
+            min((np.hypot(points[k][0] - x, points[k][1] - y) for x, y in pressed), default=0) for k in best
+        ]
+        k = best[int(np.argmax(apart))]
         places.append(PressPlace(name_of_place(*points[k], shape), *points[k]))
         pressed.append(points[k])
         counts += shown[k]

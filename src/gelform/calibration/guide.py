@@ -341,10 +341,8 @@ class Guide:
             radius = 0.55 * self._ball_radius_px  # of the target, before the first press
             if self._circles:
                 radius = float(np.median([of_press for _, _, of_press in self._circles]))
-            if (
-                self.covered is not None
-            ):  # number of the eight slope directions in each tile, the share of all
-                directions = (self.covered.counts > 0).sum(axis=-1)
+            if self.covered is not None:
+                directions = (self.covered.counts > 0).sum(axis=-1)  # of the eight, in each tile
                 coverage = {
                     "tiles": list(directions.shape),
                     "directions": directions.ravel().tolist(),

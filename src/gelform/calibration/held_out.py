@@ -347,9 +347,8 @@ def depth_factor(far: Sequence[Map], gain_sigma: float, usual: float) -> float:
     if not far:
         return usual
     sizes = np.array([np.mean(one[0] / one[2]) for one in far])
-    some = [
-        one for one, size in zip(far, sizes) if size <= 25 * np.median(sizes)
-    ]  # else something lay on the gel
+    # Something lay on the gel where a press has over 5 times the usual RMS.
+    some = [one for one, size in zip(far, sizes) if size <= 25 * np.median(sizes)]
     weights = np.concatenate([np.full(one.shape[1], 1 / one.shape[1]) for one in some]) / len(some)
     square, own, unit, common = np.concatenate(some, axis=1)
     common *= np.float32(gain_sigma**2)

@@ -241,9 +241,8 @@ def test_a_serial_that_only_looks_alike_is_named(full):
 
 
 def test_a_camera_without_a_serial_is_known_by_its_name_where_it_is_alone(full):
-    add_calibration(
-        replace(NAMELESS, serial="D9", created_utc="2026-12-01T00:00:00+00:00")
-    )  # of another unit
+    of_another_unit = replace(NAMELESS, serial="D9", created_utc="2026-12-01T00:00:00+00:00")
+    add_calibration(of_another_unit)
     alone = unit_of_camera(DIGIT, [DIGIT, Camera("Webcam", "/dev/video2")])
     assert choose_calibration(alone).calibration.digest == NAMELESS.digest
     two = unit_of_camera(DIGIT, [DIGIT, Camera("DIGIT", "/dev/video4", "D9", kind="digit")])

@@ -162,9 +162,8 @@ class PressSource:
 
     listed: Sequence[Listed]
     background: Path | NDArray[Any] | None = None  # of the gel at rest; None: the one in the folder
-    frame: Callable[[int], NDArray[Any]] | None = (
-        None  # of a number in the list; None: in the file of its name
-    )
+    # The frame of a number in the list; None: it is in the file of its name.
+    frame: Callable[[int], NDArray[Any]] | None = None
     known: SensorSettings | None = None  # settings of the sensor in the data, if any
     notes: tuple[str, ...] = ()  # for the user, about the list
 

@@ -39,9 +39,8 @@ class Press:
     image: NDArray[Any]  # (H, W, 3) uint8, RGB, after the view
     ball_diameter_mm: float
     label: Circle | None = None  # (center x, center y, contact radius) in px of the image
-    center_px: tuple[float, float] | None = (
-        None  # (x, y) in px of the image, if only the center is known, from a stage
-    )
+    # (x, y) in px of the image, if only the center is known, from a stage
+    center_px: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         try:
