@@ -29,7 +29,7 @@ from gelform.calibration.circles.find import (
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.inputs import INNER
 from gelform.calibration.selection import SlopeReader, step_sigma_of
-from gelform.calibration.starters.starter import (
+from gelform.calibration.starters import (
     Starter,
     gain_between,
     levels_from_light,

@@ -35,7 +35,7 @@ from gelform.calibration.report.content import report_content
 from gelform.calibration.report.learning import learning_curve
 from gelform.calibration.report.record import used_in_words
 from gelform.calibration.start import Start, starter_start
-from gelform.calibration.starters.starter import starter_from_calibration
+from gelform.calibration.starters import starter_from_calibration
 from gelform.errors import CalibrationError
 from gelform.image.view import View
 from gelform.result.metrics import ball_gradients, radius_from_gradients

@@ -27,7 +27,7 @@ from gelform.calibration.circles.find import (
 )
 from gelform.calibration.coverage import NEEDED, Coverage, PressPlace, press_coverage, press_next
 from gelform.calibration.fit import calibrate
-from gelform.calibration.library.library import add_calibration
+from gelform.calibration.library import add_calibration
 from gelform.calibration.presses.press_set import Press, Presses, check_ball_diameter, presses_from_settings
 from gelform.calibration.presses.taken import settings_of
 from gelform.calibration.report.content import LIMITS, level_of, report_content, report_coverage
