@@ -427,9 +427,8 @@ def find_by_templates(
     for press in presses:
         change = press.color_change
         if press.background is not None:
-            change = change * ((press.background + CHANGE_OFFSET) / (press.background + 30)).astype(
-                np.float32
-            )
+            divisors = (press.background + CHANGE_OFFSET) / (press.background + 30)
+            change = change * divisors.astype(np.float32)
         changes.append(about_median(change))
     factor = ROWS / min(changes[0].shape[:2])
     pictures = np.stack([_resized(change, factor) for change in changes])

@@ -434,8 +434,8 @@ def gs_sdk_source(folder: Path, options: ReadOptions) -> PressSource:
         path = folder / name / "label.npz"
         if path.is_file():
             arrays = arrays_of(path, "the label of a press", ("center", "radius"))
-            circle = [float(value) for one in arrays.values() for value in np.ravel(one)]
-            if len(circle) != 3 or not np.isfinite(circle).all():
+            circle = np.concatenate([np.ravel(one) for one in arrays.values()]).astype(float).tolist()
+            if arrays["center"].size != 2 or len(circle) != 3 or not np.isfinite(circle).all():
                 raise DataError(
                     f"Expected center (x, y) and radius as numbers in {path}. Label the press again."
                 )
