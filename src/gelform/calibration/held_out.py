@@ -18,12 +18,11 @@ from gelform.calibration.circles.find import (
     PRESS_PIXELS,
     REST_DISTANCE,
     ZONE,
-    Circle,
     PreparedPress,
     change_settings,
     scale_of,
 )
-from gelform.calibration.presses.press_set import Press
+from gelform.calibration.presses.press_set import Circle, Press
 from gelform.calibration.selection import Candidate, Fitted, FittedSlopes, Fold, HeldOutPresses, circle_sigmas
 from gelform.calibration_file import Calibration
 from gelform.depth.sigma import squared_factor

@@ -31,7 +31,7 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter1d
 
 from gelform.arrays import Array, Map, Mask, Numbers
-from gelform.calibration.presses.press_set import Presses, check_room
+from gelform.calibration.presses.press_set import Circle, Presses, check_room
 from gelform.errors import CalibrationError
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.foundations.findings import Progress, no_progress
@@ -63,8 +63,6 @@ ROWS = 80  # px, shorter side of the picture that is searched
 RADII = np.geomspace(0.028, 0.36, 12) * ROWS  # px of that picture
 FINE = 12.0  # px of the radius, where a circle is refined
 COMMON = 2.0  # weight, in the noise of a place, of what 70 % of the frames stay below there
-
-Circle = tuple[float, float, float]
 
 
 @dataclass(frozen=True)

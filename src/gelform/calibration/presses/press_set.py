@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from gelform.simulate import SimulatedPresses
 
 MIN_IMAGE_PX = 24  # of an image's height and width; a contact has no room in less
-Circle = tuple[float, float, float]
+Circle = tuple[float, float, float]  # (center x, center y, radius), px
 
 
 @dataclass(frozen=True)
