@@ -167,6 +167,7 @@ def press_errors_as_read(
         residual=frame.residual[rows, cols],
     )
     height, width = press.size.shape
+    # Steps between the pixels at rest, and between the eight rows that tell how errors there correlate.
     every, apart = max(1, int(np.sqrt(height * width / PRESS_PIXELS))), max(1, height // 8)
     y, x = np.ogrid[:height, :width]
     far = np.hypot(x - found.x_px, y - found.y_px) > (REST_DISTANCE + 1) * found.radius_px
@@ -361,7 +362,7 @@ def depth_factor(far: Sequence[Map], gain_sigma: float, usual: float) -> float:
 
 
 def _far_depth(record: FrameRecord, circle_px: Circle) -> Map:
-    """What `depth_factor` takes of the pixels at rest far from a contact; (4, 0) if they are few."""
+    """What `depth_factor` takes of each seventh pixel at rest beyond 2.5 radii of a contact; (4, 0) for under 200 pixels."""
     errors = record.depth_errors
     assert errors is not None
     height, width = record.depth_mm.shape

@@ -583,7 +583,7 @@ def with_rest_samples(
     contacts: Sequence[ContactCircle],
     depths_px: Sequence[Array] | None = None,
 ) -> Samples:
-    """The samples and up to half as many of the gel at rest, where the gradient is 0, at a lower weight."""
+    """The samples and up to half as many of the gel at rest, where the gradient is 0, with a weight of 0.3."""
     parts = [samples]
     for k, (press, contact) in enumerate(zip(presses, contacts)):
         step = max(1, int(np.sqrt(2 * press.size.size * len(presses) / len(samples.x_px))))
