@@ -109,10 +109,12 @@ def library_folder() -> Path:
     except (RuntimeError, OSError):  # neither HOME nor an entry for the user
         folder = Path(given or "")
     if not folder.is_absolute():
+        if given:
+            raise DataError(
+                f"Expected an absolute path in {FOLDER_VARIABLE}, got {folder}. Begin it at the root."
+            )
         raise DataError(
-            f"Expected an absolute path in {FOLDER_VARIABLE}, got {folder}. Begin it at the root."
-            if given
-            else "Expected a home folder for the library of calibrations, got none that begins at the root. "
+            "Expected a home folder for the library of calibrations, got none that begins at the root. "
             f"Name a folder in {FOLDER_VARIABLE}."
         )
     if folder.is_file():
@@ -476,11 +478,11 @@ def unit_of_all(paths: Iterable[Path]) -> Unit:
     if len(found) == 1:
         return first
     if len({(unit.serial, unit.gel_id) for unit in found}) > 1:
-        both = " and ".join(
-            f"{unit.said} ({unit.serial or 'no serial'}{f', gel {unit.gel_id}' if unit.gel_id else ''})"
-            for unit in (first, last)
-        )
+        both = []
+        for unit in (first, last):
+            gel = f", gel {unit.gel_id}" if unit.gel_id else ""
+            both.append(f"{unit.said} ({unit.serial or 'no serial'}{gel})")
         raise DataError(
-            f"Expected frames of one sensor and gel, got {both}. Do them apart, or give -c CAL.npz."
+            f"Expected frames of one sensor and gel, got {' and '.join(both)}. Do them apart, or give -c CAL.npz."
         )
     return Unit(f"{first.said} ... {last.said}", first.serial, gel_id=first.gel_id)
