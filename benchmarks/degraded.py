@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gelform
-from gelform.calibration.library.library import ready_calibration
+from gelform.calibration.library import ready_calibration
 from gelform.sensors.simulated import simulated_sensor_named
 from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import Ball, simulate_press

@@ -23,8 +23,7 @@ from gelform.calibration.inputs import MOST_SIGMAS, ball_readings
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report import report_content
 from gelform.calibration.start import start_from
-from gelform.calibration.starters import load_starter
-from gelform.calibration.starters.starter import Starter, starter_from_calibration
+from gelform.calibration.starters import Starter, load_starter, starter_from_calibration
 from gelform.errors import CalibrationError
 from presses import DATA, data_is_missing, labeled, mini_ball, unlabeled
 from real_frames.beyond import slopes_inside, sure_inner

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from gelform.calibration.fit import calibrate
-from gelform.calibration.library.library import SHIPPED, simulated_presses
+from gelform.calibration.library import SHIPPED, simulated_presses
 from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.calibration_file import load_calibration
 from gelform.image.background import noise_from_image

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from gelform.calibration.library.library import ready_calibration
+from gelform.calibration.library import ready_calibration
 from gelform.image.frame import Frame
 from gelform.sensors import simulated_sensor_named
 from gelform.sensors.playback import RecordingFacts

@@ -13,8 +13,7 @@ import numpy as np
 
 import gelform
 from gelform.calibration.presses.press_set import Presses
-from gelform.calibration.starters import load_starter
-from gelform.calibration.starters.starter import starter_from_calibration
+from gelform.calibration.starters import load_starter, starter_from_calibration
 from presses import DATA, labeled, mini_ball, presses_of, unlabeled
 from starters.make import LIKELY, unit_of
 

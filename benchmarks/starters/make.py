@@ -30,7 +30,7 @@ from gelform.calibration.circles.locate import locate
 from gelform.calibration.inputs import INNER
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.selection import SlopeReader, step_sigma_of
-from gelform.calibration.starters.starter import (
+from gelform.calibration.starters import (
     Starter,
     gain_between,
     levels_from_light,

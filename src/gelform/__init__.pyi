@@ -47,7 +47,7 @@ from .calibration.presses.folder import with_scale as with_scale
 from .calibration.loads import read_loads as read_loads
 from .calibration.fit import calibrate as calibrate
 from .calibration.evaluate import evaluate as evaluate
-from .calibration.starters.starter import calibration_from_background as calibration_from_background
+from .calibration.starters import calibration_from_background as calibration_from_background
 from .exchange.importers.calibrations import import_calibration as import_calibration
 from .calibration_file import Calibration as Calibration
 from .calibration_file import load_calibration as load_calibration

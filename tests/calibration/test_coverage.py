@@ -212,3 +212,11 @@ def test_the_stated_coverage_counts_what_the_gel_follows():
     np.testing.assert_array_equal(wide.counts, narrow.counts)
     assert wide.counts.shape == (6, 8, DIRECTIONS)
     assert wide.fraction < press_coverage([(80.0, 60.0, 40.0)], [400.0], (120, 160)).fraction
+
+
+def test_wide_contacts_in_the_middle_are_not_in_one_part():
+    """They extend over more than 0.65 of either side."""
+    centers = [(x, y) for x in (60, 80, 100) for y in (45, 75)]
+    small, wide = ([(x, y, radius) for x, y in centers] for radius in (10, 36))
+    assert one_part(small, (120, 160)) == "middle"
+    assert one_part(wide, (120, 160)) is None

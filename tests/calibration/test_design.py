@@ -137,9 +137,8 @@ def test_the_sensor_of_the_documentation_can_be_studied(tmp_path):
     sensor = read_simulated_sensor(tmp_path / "mine.toml")
     height, width = sensor.shape
     small = replace(sensor, shape=(height // 2, width // 2), mm_per_px=2 * sensor.mm_per_px)
-    results = compare_designs(
-        small, presses=8, tests=2
-    )  # few and coarse: that each can be made is the question
+    # few and coarse: that each can be made is the question
+    results = compare_designs(small, presses=8, tests=2)
     assert [result.name for result in results] == [variation.name for variation in VARIATIONS]
     assert max(result.depth_rmse_um for result in results) < 800
 

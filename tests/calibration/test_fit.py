@@ -91,11 +91,15 @@ def test_two_calibrations_in_two_threads_are_those_of_each_alone(presses):
 
 
 def test_same_folder_same_calibration_and_progress_in_words(presses):
+    """Of five presses and a blank image, which is rejected, and is not among those that the calibration was made from."""
     calls, few = [], presses.subset(range(5))
+    blank = replace(few.presses[0], image=presses.background.astype(np.uint8))
+    few = replace(few, presses=(blank, *few.presses))
     silent = gelform.calibrate(few, color_model="lambertian")
     told = gelform.calibrate(few, color_model="lambertian", progress=lambda *call: calls.append(call))
     first, second = (replace(calibration, created_utc="").digest for calibration in (silent, told))
     assert first == second
+    assert silent.training_digests == tuple(press.digest for press in few.presses[1:])
     assert {what for _, _, what in calls} >= {"finding contact circles", "measuring on held-out presses"}
     assert all(0 < done <= total for done, total, _ in calls)
 

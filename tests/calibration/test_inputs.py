@@ -35,7 +35,7 @@ from gelform.calibration.report.content import report_content
 from gelform.calibration.report.learning import learning_curve
 from gelform.calibration.report.record import used_in_words
 from gelform.calibration.start import Start, starter_start
-from gelform.calibration.starters.starter import starter_from_calibration
+from gelform.calibration.starters import starter_from_calibration
 from gelform.errors import CalibrationError
 from gelform.image.view import View
 from gelform.result.metrics import ball_gradients, radius_from_gradients
@@ -365,9 +365,8 @@ def test_a_calibration_of_presses_listed_twice_is_that_of_the_presses(presses):
     once = gelform.calibrate(six, color_model="lambertian")
     twice = gelform.calibrate(replace(six, presses=(*six.presses, *copies)), color_model="lambertian")
     assert twice.held_out == once.held_out
-    assert [row.accepted for row in twice.report.presses] == [row.accepted for row in once.report.presses] + [
-        False
-    ] * 6
+    accepted, alone = ([row.accepted for row in made.report.presses] for made in (twice, once))
+    assert accepted == [*alone, *[False] * 6]
     assert not any("times as large" in note for note in twice.report.notes), "copies are no other ball"
 
 

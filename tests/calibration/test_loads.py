@@ -207,9 +207,8 @@ def test_real_objects_of_which_one_is_left_out(data, tmp_path):
     kept = [row for row in rows if row["grasp"] == "1"]
     text = [",".join(rows[0]), *(",".join(row.values()) for row in kept)]
     (tmp_path / "loads.csv").write_text("\n".join(text) + "\n")
-    assert (
-        abs(read_loads(tmp_path, calibration).lag_frames - GAUGE_LAG) <= 2
-    )  # five short films tell it no better
+    # five short films tell it no better
+    assert abs(read_loads(tmp_path, calibration).lag_frames - GAUGE_LAG) <= 2
     found = read_loads(tmp_path, calibration, lag_frames=GAUGE_LAG)
     soft = [
         why_no_normal(touch) != ""

@@ -7,7 +7,7 @@ import pytest
 
 import gelform
 from gelform.calibration.start import start_from, starter_note, starter_start, translated
-from gelform.calibration.starters.starter import load_starter
+from gelform.calibration.starters import load_starter
 from gelform.errors import CalibrationError
 from gelform.image.background import gain_from_background
 from gelform.simulate import Ball, simulate_press

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import gelform.cli
-from gelform.calibration.library.library import add_calibration
+from gelform.calibration.library import add_calibration
 from gelform.cli.console import ShownOption, figure, print_json, printable
 from made.small_gel import Touch, calibration, image_of, save
 

@@ -19,7 +19,7 @@ import pytest
 from websockets.sync.client import connect
 
 from gelform import CalibrationError, DataError, GelformError, load_calibration
-from gelform.calibration.library.library import add_calibration
+from gelform.calibration.library import add_calibration
 from gelform.calibration.starters import load_starter
 from gelform.exchange.plots import save_picture
 from gelform.live import actions

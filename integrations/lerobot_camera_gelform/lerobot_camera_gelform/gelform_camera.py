@@ -211,7 +211,7 @@ def _levels(seen: Any) -> NDArray[np.uint16]:
 def _calibration(config: GelformCameraConfig) -> gelform.Calibration:
     if config.calibration:
         return gelform.load_calibration(config.calibration)
-    from gelform.calibration.library.library import ready_calibration
+    from gelform.calibration.library import ready_calibration
     from gelform.sensors.simulated import simulated_sensor_named
     from gelform.sensors.source import DEFAULT_SENSOR
 

@@ -44,7 +44,7 @@ from gelform.batch.records import (
     write_table,
 )
 from gelform.batch.work import Engine, Job
-from gelform.calibration.library.library import choose_calibration, unit_of_all
+from gelform.calibration.library import choose_calibration, unit_of_all
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import cannot
 from gelform.exchange.exporters.press_folder import check_room

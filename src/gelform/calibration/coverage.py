@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gelform.arrays import Array, Mask, Numbers
+from gelform.calibration.presses.press_set import Circle
 from gelform.result.metrics import followed_radius
 
 
@@ -110,8 +111,6 @@ REFINING = ((0, (1,)), (6, (2, 1)), (9, (3, 2, 0)))
 DIRECTIONS = 8  # directions of slopes, 45 degrees each
 COARSE = (3, 4)  # tiles (rows, columns) in notes
 NAMED_PLACES = 5  # places to press at, in a note
-
-Circle = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -231,10 +230,10 @@ def press_next(
         if helped.max() == 0:
             break
         best = np.flatnonzero(helped >= (1 - 1e-9) * helped.max()).tolist()
-        k = max(
-            best,
-            key=lambda k: min((np.hypot(points[k][0] - x, points[k][1] - y) for x, y in pressed), default=0),
-        )
+        apart = [
+            min((np.hypot(points[k][0] - x, points[k][1] - y) for x, y in pressed), default=0) for k in best
+        ]
+        k = best[int(np.argmax(apart))]
         places.append(PressPlace(name_of_place(*points[k], shape), *points[k]))
         pressed.append(points[k])
         counts += shown[k]

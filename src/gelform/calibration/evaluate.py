@@ -28,9 +28,8 @@ class Evaluation:
     # One per press: its name, whether the calibration was made from it, its circle and errors, or the reason for none.
     rows: tuple[dict[str, Any], ...]
     summary: dict[str, float]  # over the presses that have errors
-    where: dict[
-        str, Any
-    ]  # their normal errors by the ball's slope and by place, as `errors_where` gives them
+    # Their normal errors by the ball's slope and by place, as `errors_where` gives them.
+    where: dict[str, Any]
     seen: int  # number of presses that the calibration was made from; their errors say little
     own_background: bool = True  # whether the presses' background is the calibration's own, pixel for pixel
     findings: tuple[str, ...] = ()  # about a background that is not

@@ -27,8 +27,14 @@ from gelform.calibration.circles.find import (
 )
 from gelform.calibration.coverage import NEEDED, Coverage, PressPlace, press_coverage, press_next
 from gelform.calibration.fit import calibrate
-from gelform.calibration.library.library import add_calibration
-from gelform.calibration.presses.press_set import Press, Presses, check_ball_diameter, presses_from_settings
+from gelform.calibration.library import add_calibration
+from gelform.calibration.presses.press_set import (
+    Circle,
+    Press,
+    Presses,
+    check_ball_diameter,
+    presses_from_settings,
+)
 from gelform.calibration.presses.taken import settings_of
 from gelform.calibration.report.content import LIMITS, level_of, report_content, report_coverage
 from gelform.calibration.report.page import report_page
@@ -54,8 +60,6 @@ LOOK_EVERY_S = 0.08  # s between analyzed frames; an analysis takes some 10 ms
 STILL_LOOKS = 3  # consecutive still frames until a press counts
 NEXT_PLACES = 3  # suggested places on the page: the next one, and those after it
 COVERED = next(limit for limit in LIMITS if limit.name == "covered_percent")
-
-Circle = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -341,10 +345,8 @@ class Guide:
             radius = 0.55 * self._ball_radius_px  # of the target, before the first press
             if self._circles:
                 radius = float(np.median([of_press for _, _, of_press in self._circles]))
-            if (
-                self.covered is not None
-            ):  # number of the eight slope directions in each tile, the share of all
-                directions = (self.covered.counts > 0).sum(axis=-1)
+            if self.covered is not None:
+                directions = (self.covered.counts > 0).sum(axis=-1)  # of the eight, in each tile
                 coverage = {
                     "tiles": list(directions.shape),
                     "directions": directions.ravel().tolist(),

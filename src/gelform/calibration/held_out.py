@@ -18,12 +18,11 @@ from gelform.calibration.circles.find import (
     PRESS_PIXELS,
     REST_DISTANCE,
     ZONE,
-    Circle,
     PreparedPress,
     change_settings,
     scale_of,
 )
-from gelform.calibration.presses.press_set import Press
+from gelform.calibration.presses.press_set import Circle, Press
 from gelform.calibration.selection import Candidate, Fitted, FittedSlopes, Fold, HeldOutPresses, circle_sigmas
 from gelform.calibration_file import Calibration
 from gelform.depth.sigma import squared_factor
@@ -168,6 +167,7 @@ def press_errors_as_read(
         residual=frame.residual[rows, cols],
     )
     height, width = press.size.shape
+    # Steps between the pixels at rest, and between the eight rows that tell how errors there correlate.
     every, apart = max(1, int(np.sqrt(height * width / PRESS_PIXELS))), max(1, height // 8)
     y, x = np.ogrid[:height, :width]
     far = np.hypot(x - found.x_px, y - found.y_px) > (REST_DISTANCE + 1) * found.radius_px
@@ -347,9 +347,8 @@ def depth_factor(far: Sequence[Map], gain_sigma: float, usual: float) -> float:
     if not far:
         return usual
     sizes = np.array([np.mean(one[0] / one[2]) for one in far])
-    some = [
-        one for one, size in zip(far, sizes) if size <= 25 * np.median(sizes)
-    ]  # else something lay on the gel
+    # Something lay on the gel where a press has over 5 times the usual RMS.
+    some = [one for one, size in zip(far, sizes) if size <= 25 * np.median(sizes)]
     weights = np.concatenate([np.full(one.shape[1], 1 / one.shape[1]) for one in some]) / len(some)
     square, own, unit, common = np.concatenate(some, axis=1)
     common *= np.float32(gain_sigma**2)
@@ -363,7 +362,7 @@ def depth_factor(far: Sequence[Map], gain_sigma: float, usual: float) -> float:
 
 
 def _far_depth(record: FrameRecord, circle_px: Circle) -> Map:
-    """What `depth_factor` takes of the pixels at rest far from a contact; (4, 0) if they are few."""
+    """What `depth_factor` takes of each seventh pixel at rest beyond 2.5 radii of a contact; (4, 0) for under 200 pixels."""
     errors = record.depth_errors
     assert errors is not None
     height, width = record.depth_mm.shape

@@ -43,9 +43,8 @@ from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
 INNER = 0.6  # fraction of the visible circle; the gel follows the ball inside it on every sensor
 # Relative error of the ratio of two sizes, each read by the other's presses: 0.034 on a real GelSight Mini.
 SIZE_SIGMA = 0.05
-MOST_SIGMAS = (
-    2.0  # of a stated diameter from the one read, standard deviations; the limit of the report's check too
-)
+# Largest difference of a stated diameter from the one read, in standard deviations; the limit of the report's check too.
+MOST_SIGMAS = 2.0
 REMEDY = "Check the ball's diameter and mm_per_px."
 
 

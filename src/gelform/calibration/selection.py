@@ -32,7 +32,6 @@ from gelform.calibration.circles.find import (
     TOTAL_SAMPLES,
     TRIAL_SAMPLES,
     ZONE,
-    Circle,
     ContactCircle,
     PreparedPress,
     change_settings,
@@ -42,7 +41,7 @@ from gelform.calibration.circles.find import (
 )
 from gelform.calibration.circles.locate import ROUNDS, Located, fit_model, recentered, refine
 from gelform.calibration.coverage import FOLDS, NEEDED, SAMPLED
-from gelform.calibration.presses.press_set import Presses
+from gelform.calibration.presses.press_set import Circle, Presses
 from gelform.calibration.start import AUTO, Start
 from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.depth.coarse import CoarseDepth

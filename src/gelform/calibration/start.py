@@ -8,7 +8,7 @@ from os import PathLike
 import numpy as np
 
 from gelform.calibration.presses.press_set import Presses
-from gelform.calibration.starters.starter import (
+from gelform.calibration.starters import (
     Starter,
     check_light,
     light_from_background,

@@ -195,7 +195,7 @@ class Inputs:
 
     def calibration_of(self, source: str | Sequence[Path], quiet: bool) -> gelform.Calibration:
         """The calibration for a source or for files of images; says which one it is unless it is a file's."""
-        from gelform.calibration.library import library
+        from gelform.calibration import library
 
         if self.calibration is not None:
             return gelform.load_calibration(self.calibration)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gelform import GelformError, background_from_frames
-from gelform.calibration.library.library import unit_of_camera
+from gelform.calibration.library import unit_of_camera
 from gelform.depth.solvers import SOLVERS
 from gelform.foundations.findings import Progress
 from gelform.image.agreement import check_untouched

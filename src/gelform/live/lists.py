@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from gelform import Calibration, GelformError, load_calibration
-from gelform.calibration.library.library import Unit, is_same
+from gelform.calibration.library import Unit, is_same
 from gelform.calibration_file import is_calibration
 from gelform.live.station import Opening, Setup, Station
 from gelform.sensors.cameras import Camera, UsbCamera, cameras_in_sysfs

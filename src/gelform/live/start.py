@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from gelform import DataError, SensorError, open_source
-from gelform.calibration.library.library import described, library_folder, ready_calibration, unit_named
+from gelform.calibration.library import described, library_folder, ready_calibration, unit_named
 from gelform.foundations.findings import Progress
 from gelform.live import actions
 from gelform.live.hub import Hub

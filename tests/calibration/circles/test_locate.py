@@ -35,6 +35,7 @@ from gelform.calibration.circles.locate import (
     edge_of_gains,
     joint_moves,
     light_notes,
+    locate,
     mark_notes,
     misfit_reasons,
     other_ball_note,
@@ -44,6 +45,7 @@ from gelform.calibration.circles.locate import (
     why_impossible,
     why_too_wide,
 )
+from gelform.calibration.start import Start
 from gelform.image.background import ChangeSettings, color_change_from_image
 from gelform.result.metrics import ball_gradients
 from gelform.simulate import LAYOUTS, Ball, simulate_press
@@ -369,6 +371,33 @@ def test_presses_of_clipped_light_are_not_called_no_ball():
     assert reasons[2] is None
     assert all("17 % of the image is clipped" in one and "no ball" not in one for one in reasons[:2])
     assert "it is no ball" in misfit_reasons([(0.1, 0.4), (0.05, 1.0)])[0]
+
+
+@pytest.fixture(scope="module")
+def starter(calibration):
+    return Start(
+        calibration.color_model, calibration.forward, "digest", 0.1, "the starter of a test", offered=True
+    )
+
+
+@pytest.mark.linear_algebra
+def test_an_offered_start_moves_the_circles_of_few_presses(presses, starter):
+    few, many = (locate(presses.subset(range(count)), starter) for count in (6, 12))
+    assert (few.start, few.refined_by) == (starter, starter.model)
+    assert (many.start, many.refined_by) == (starter, None)
+
+
+@pytest.mark.linear_algebra
+def test_an_offered_start_with_which_fewer_presses_fit_is_not_used(presses, starter, monkeypatch):
+    def refine_less(presses, *, start=None, **more):
+        refined = refine(presses, start=start, **more)
+        return refined if start is None else replace(refined, reasons=("misfit", *refined.reasons[1:]))
+
+    monkeypatch.setattr(module, "refine", refine_less)
+    located = locate(presses.subset(range(6)), starter)
+    assert (located.start, located.refined_by) == (None, None)
+    assert located.refined.accepted == list(range(6))
+    assert "The starter of a test was not used: 5 presses fit with it, 6 without it." in located.notes
 
 
 def off_px(contacts, truth):

@@ -228,9 +228,8 @@ def test_what_is_no_grid_is_refused():
     with pytest.raises(ValueError, match=r"3x3 points or more"):
         view_from_grid([frame], pattern=(2, 8), pitch_mm=PITCH)
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float32)
-    bent = cv2.remap(
-        frame, x + 1.5 * np.sin(y / 20).astype(np.float32), y, cv2.INTER_LINEAR
-    )  # no plane looks so
+    waved = x + 1.5 * np.sin(y / 20).astype(np.float32)  # no plane looks so
+    bent = cv2.remap(frame, waved, y, cv2.INTER_LINEAR)
     with pytest.raises(DataError, match=r"px off one \(limit 0.5\)"):
         view_from_grid([bent], pattern=PATTERN, pitch_mm=PITCH)
 

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.library import library as module
-from gelform.calibration.library.library import (
+from gelform.calibration import library as module
+from gelform.calibration.library import (
     NoCalibration,
     Unit,
     add_calibration,
@@ -111,9 +111,7 @@ def test_a_home_that_is_no_absolute_path_is_none(monkeypatch):
     ):
         monkeypatch.setenv("GELFORM_CALIBRATIONS", given)
         monkeypatch.setenv("HOME", "relative")
-        monkeypatch.setattr(
-            "gelform.calibration.library.library.user_data_path", lambda *_, **__: Path("relative")
-        )
+        monkeypatch.setattr("gelform.calibration.library.user_data_path", lambda *_, **__: Path("relative"))
         with pytest.raises(DataError, match=f"Expected {said}"):
             library_folder()
 
@@ -179,7 +177,7 @@ def test_entries_are_found_by_serial_gel_name_and_digest(library):
 def test_two_processes_add_at_once(library):
     program = (
         "import sys, time\nfrom dataclasses import replace\nfrom made.small_gel import calibration\n"
-        "from gelform.calibration.library.library import add_calibration\n"
+        "from gelform.calibration.library import add_calibration\n"
         "time.sleep(max(0, float(sys.argv[1]) - time.time()))\n"
         "for k in range(20): add_calibration(replace(calibration(), serial=f'S{k}'))"
     )
@@ -241,9 +239,8 @@ def test_a_serial_that_only_looks_alike_is_named(full):
 
 
 def test_a_camera_without_a_serial_is_known_by_its_name_where_it_is_alone(full):
-    add_calibration(
-        replace(NAMELESS, serial="D9", created_utc="2026-12-01T00:00:00+00:00")
-    )  # of another unit
+    of_another_unit = replace(NAMELESS, serial="D9", created_utc="2026-12-01T00:00:00+00:00")
+    add_calibration(of_another_unit)
     alone = unit_of_camera(DIGIT, [DIGIT, Camera("Webcam", "/dev/video2")])
     assert choose_calibration(alone).calibration.digest == NAMELESS.digest
     two = unit_of_camera(DIGIT, [DIGIT, Camera("DIGIT", "/dev/video4", "D9", kind="digit")])

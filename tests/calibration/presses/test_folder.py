@@ -84,6 +84,7 @@ def test_gs_sdk_folder_is_read_as_it_is(presses, tmp_path):
     for label, message in (
         ({"center": np.zeros(2)}, "radius missing"),
         ({"center": np.zeros(3), "radius": 21}, r"center \(x, y\) and radius as numbers"),
+        ({"center": np.zeros(1), "radius": np.ones(2)}, r"center \(x, y\) and radius as numbers"),
         ({"center": np.array([1, np.nan]), "radius": 21}, r"center \(x, y\) and radius as numbers"),
     ):
         np.savez(target / "5mm/0/label.npz", **label)

@@ -45,9 +45,8 @@ def test_then_what_lies_beside_the_data_then_what_they_know_then_the_profile(bes
     known = SensorSettings("known", 0.06)
     assert ReadOptions(sensor="gelsight-mini").settings(beside, known).mm_per_px == 0.07
     (tmp_path / "other").mkdir()
-    assert ReadOptions(sensor="gelsight-mini").settings(tmp_path / "other", known) == replace(
-        known, make="gelsight-mini"
-    )
+    named = ReadOptions(sensor="gelsight-mini").settings(tmp_path / "other", known)
+    assert named == replace(known, make="gelsight-mini")
     by_profile = ReadOptions(sensor="gelsight-mini").settings(tmp_path / "other")
     assert (by_profile.name, by_profile.mm_per_px) == (MINI.name, MINI.mm_per_px)
 

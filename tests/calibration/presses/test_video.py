@@ -12,7 +12,15 @@ import pytest
 
 import gelform
 from gelform.calibration.circles.find import find_contact
-from gelform.calibration.presses.video import Thumbnails, distances, noise_of, stretches, thumbnail, untouched
+from gelform.calibration.presses.video import (
+    Thumbnails,
+    distances,
+    noise_of,
+    stretches,
+    thumbnail,
+    touch_threshold,
+    untouched,
+)
 from gelform.image.background import ChangeSettings, color_change_from_image
 from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.recordings.mcap_writer import McapRecording
@@ -143,6 +151,13 @@ def test_flicker_of_all_pixels_is_no_touch():
     touch = distances(levels, levels[0])
     assert touch.max() < 5
     assert noise_of(motion) < 4
+
+
+def test_threshold_grows_with_the_noise_and_the_strongest_touch():
+    quiet = np.full(50, 0.5)
+    assert touch_threshold(quiet, 0.5) == 3.0
+    assert touch_threshold(quiet, 2.0) == 8.0
+    assert touch_threshold(np.full(50, 100.0), 0.5) == pytest.approx(12.0)
 
 
 def test_thumbnails_average_and_are_thinned():
@@ -325,6 +340,11 @@ def test_a_video_of_blue_green_red_is_read_so(filmed, read, how, tmp_path):
         (swapped.background, swapped.presses[0].image), (read.background, read.presses[0].image)
     ):
         assert np.abs(one - other.astype(float)).mean() < 2
+    cv2.imwrite(
+        str(tmp_path / "rest.png"), filmed.stills.background
+    )  # which OpenCV takes for blue, green, red
+    given = gelform.read_presses(tmp_path / "bgr.avi", **how, bgr=True, background=tmp_path / "rest.png")
+    np.testing.assert_array_equal(given.background, filmed.stills.background)
 
 
 @pytest.mark.parametrize(

@@ -14,16 +14,18 @@ import pytest
 
 import gelform
 from gelform.calibration.starters import (
+    FOLDER,
     calibration_from_background,
     check_light,
     levels_from_light,
     light_from_background,
     load_starter,
+    read_starter,
     starter_for,
+    starter_from_calibration,
     starter_names,
     starter_of_source,
 )
-from gelform.calibration.starters.starter import FOLDER, read_starter, starter_from_calibration
 from gelform.calibration_file import load_calibration
 from gelform.errors import CalibrationError, SensorError
 from gelform.result.metrics import press_errors

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.library.library import add_calibration, entries
+from gelform.calibration.library import add_calibration, entries
 from gelform.calibration_file import load_calibration
 from gelform.cli.commands import exchange
 from gelform.exchange.exporters.surface import SURFACES

@@ -31,7 +31,7 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter1d
 
 from gelform.arrays import Array, Map, Mask, Numbers
-from gelform.calibration.presses.press_set import Presses, check_room
+from gelform.calibration.presses.press_set import Circle, Presses, check_room
 from gelform.errors import CalibrationError
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.foundations.findings import Progress, no_progress
@@ -63,8 +63,6 @@ ROWS = 80  # px, shorter side of the picture that is searched
 RADII = np.geomspace(0.028, 0.36, 12) * ROWS  # px of that picture
 FINE = 12.0  # px of the radius, where a circle is refined
 COMMON = 2.0  # weight, in the noise of a place, of what 70 % of the frames stay below there
-
-Circle = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -427,9 +425,8 @@ def find_by_templates(
     for press in presses:
         change = press.color_change
         if press.background is not None:
-            change = change * ((press.background + CHANGE_OFFSET) / (press.background + 30)).astype(
-                np.float32
-            )
+            divisors = (press.background + CHANGE_OFFSET) / (press.background + 30)
+            change = change * divisors.astype(np.float32)
         changes.append(about_median(change))
     factor = ROWS / min(changes[0].shape[:2])
     pictures = np.stack([_resized(change, factor) for change in changes])
@@ -586,7 +583,7 @@ def with_rest_samples(
     contacts: Sequence[ContactCircle],
     depths_px: Sequence[Array] | None = None,
 ) -> Samples:
-    """The samples and up to half as many of the gel at rest, where the gradient is 0, at a lower weight."""
+    """The samples and up to half as many of the gel at rest, where the gradient is 0, with a weight of 0.3."""
     parts = [samples]
     for k, (press, contact) in enumerate(zip(presses, contacts)):
         step = max(1, int(np.sqrt(2 * press.size.size * len(presses) / len(samples.x_px))))

@@ -248,11 +248,8 @@ def refine(
         reasons[i] = reason
     candidates = [i for i, reason in enumerate(reasons) if reason is None]
     whole = [i for i in candidates if presses[i].found.is_whole_in(presses[i].size.shape)]
-    contacts, fit_on = (
-        [press.found for press in presses],
-        whole if NEEDED.whole.met(len(whole)) else candidates,
-    )
-    contacts = _jointly_centered(presses, contacts, fit_on)
+    fit_on = whole if NEEDED.whole.met(len(whole)) else candidates
+    contacts = _jointly_centered(presses, [press.found for press in presses], fit_on)
     model: ColorModel | None = None
     for round_ in range(ROUNDS if NEEDED.model.met(len(candidates)) else 0):
         model = fit_model([presses[i] for i in fit_on], [contacts[i] for i in fit_on], start)
@@ -352,10 +349,8 @@ def why_too_wide(presses: Sequence[PreparedPress]) -> list[str | None]:
         contact = press.found
         if press.is_deep(contact):
             rings = ring_mean(press.size, contact.x_px, contact.y_px)
-            rings = gaussian_filter1d(rings, 2 * scale_of(press.size.shape))[
-                : max(1, round(contact.radius_px))
-            ]
-            steepest[i] = float(np.argmax(rings)) / press.ball_radius_px
+            rings = gaussian_filter1d(rings, 2 * scale_of(press.size.shape))
+            steepest[i] = float(np.argmax(rings[: max(1, round(contact.radius_px))])) / press.ball_radius_px
     all_ = bool(steepest) and float(np.median(list(steepest.values()))) >= STEEPEST_RING
     return [
         f"contact radius {press.found.radius_px:.1f} px is that of the ball ({press.ball_radius_px:.1f} px) or more, and "

@@ -54,7 +54,7 @@ def view_from_grid(
     ----------
     images : (H, W, 3) each, RGB, 0-255: whole camera frames, no view applied
     pattern : (columns, rows) of the inner corners of a checkerboard, or of the dots
-    pitch_mm : from corner to corner, or dot to dot
+    pitch_mm : from corner to corner, or dot to dot; 0.001 to 1000
     kind : "checkerboard" or "dots" (a square grid of dark dots)
     pitch_sigma_mm : standard deviation of the pitch, mm; 0.2 % of it by default
 
@@ -160,7 +160,7 @@ def _fitted(
             frame_px = unit * (1 + k1 * square + k2 * square**2) * focal + center
             residuals.append((frame_px - of_image).ravel())
         # without distortion its center is anywhere, and so is k2 over a small grid: weak priors of 0.1 px noise, with
-        # standard deviations of 1 for k1 and k2, and of 5 % of the frame for the center
+        # standard deviations of 1 for k1 and k2, and of 5 % of the longer side for the center
         prior = 0.1 * (numbers[:4] - start[:4]) / [1, 1, *[0.05 * focal] * 2]
         return np.concatenate([*residuals, prior])
 

@@ -162,9 +162,8 @@ class PressSource:
 
     listed: Sequence[Listed]
     background: Path | NDArray[Any] | None = None  # of the gel at rest; None: the one in the folder
-    frame: Callable[[int], NDArray[Any]] | None = (
-        None  # of a number in the list; None: in the file of its name
-    )
+    # The frame of a number in the list; None: it is in the file of its name.
+    frame: Callable[[int], NDArray[Any]] | None = None
     known: SensorSettings | None = None  # settings of the sensor in the data, if any
     notes: tuple[str, ...] = ()  # for the user, about the list
 
@@ -435,8 +434,8 @@ def gs_sdk_source(folder: Path, options: ReadOptions) -> PressSource:
         path = folder / name / "label.npz"
         if path.is_file():
             arrays = arrays_of(path, "the label of a press", ("center", "radius"))
-            circle = [float(value) for one in arrays.values() for value in np.ravel(one)]
-            if len(circle) != 3 or not np.isfinite(circle).all():
+            circle = np.concatenate([np.ravel(one) for one in arrays.values()]).astype(float).tolist()
+            if arrays["center"].size != 2 or len(circle) != 3 or not np.isfinite(circle).all():
                 raise DataError(
                     f"Expected center (x, y) and radius as numbers in {path}. Label the press again."
                 )

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from gelform.simulate import SimulatedPresses
 
 MIN_IMAGE_PX = 24  # of an image's height and width; a contact has no room in less
-Circle = tuple[float, float, float]
+Circle = tuple[float, float, float]  # (center x, center y, radius), px
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,8 @@ class Press:
     image: NDArray[Any]  # (H, W, 3) uint8, RGB, after the view
     ball_diameter_mm: float
     label: Circle | None = None  # (center x, center y, contact radius) in px of the image
-    center_px: tuple[float, float] | None = (
-        None  # (x, y) in px of the image, if only the center is known, from a stage
-    )
+    # (x, y) in px of the image, if only the center is known, from a stage
+    center_px: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         try:

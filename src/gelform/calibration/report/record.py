@@ -30,9 +30,8 @@ class PressReport:
     contact_radius_px: float
     accepted: bool  # whether the calibration uses it
     reason: str | None  # the reason if not
-    errors: (
-        dict[str, float] | None
-    )  # as `PressErrors`, from a model that has not seen this press; None if rejected
+    # As `PressErrors`, from a model that has not seen this press; None if rejected.
+    errors: dict[str, float] | None
     center_sigma_px: float | None = None  # standard deviations (`circle_sigmas`); None if rejected
     contact_radius_sigma_px: float | None = None
     repeats: str | None = None  # name of the frame that stays, if this one shows its press again
@@ -40,7 +39,7 @@ class PressReport:
 
 @dataclass(frozen=True)
 class CalibrationReport:
-    """A calibration run; what follows `held_out_saved`, but for `balls`, is neither in `to_dict` nor saved."""
+    """A calibration run; `pixels`, `caps_um`, `start` and `offered` are neither in `to_dict` nor saved."""
 
     presses: tuple[PressReport, ...]  # every press of the folder
     # The trials, selected or not: name, typical (geometric mean) slope error and mean normal error of the slopes that are

@@ -115,7 +115,7 @@ def batch(
       gelform batch sessions/ -c cal.npz -o depth --shard 3/16
     """
     from gelform.batch import BatchSettings, Engine, RunOptions, run_batch
-    from gelform.calibration.library.library import NoCalibration
+    from gelform.calibration.library import NoCalibration
 
     one_of(table, ("auto", "parquet", "csv"), "--table")
     maps = tuple(dict.fromkeys(one.strip() for one in keep.split(",") if one.strip()))

@@ -56,7 +56,7 @@ def list_(
       gelform calibrations list --serial 2BKRXXXX --gel gel-3
       gelform calibrations list --json
     """
-    from gelform.calibration.library import library
+    from gelform.calibration import library
     from gelform.foundations.files import DIGEST_SHOWN
 
     folder = library.library_folder()
@@ -105,7 +105,7 @@ def add(
       gelform calibrations add mini.npz
       gelform calibrations add mini.npz --serial 2BKRXXXX --gel gel-3
     """
-    from gelform.calibration.library.library import add_calibration
+    from gelform.calibration.library import add_calibration
 
     if serial is not None and len(files) > 1:
         raise BadParameter("belongs to one camera: add one file at a time.", param_hint="--serial")
@@ -150,7 +150,7 @@ def remove(
       gelform calibrations remove 1a2b3c4d5e
       gelform calibrations remove 2BKRXXXX --gel gel-2 --all --yes
     """
-    from gelform.calibration.library.library import listed, matching, remove_calibration
+    from gelform.calibration.library import listed, matching, remove_calibration
 
     found = matching(which, gel)
     if len(found) > 1 and not every:
@@ -175,7 +175,7 @@ def export_(
       gelform calibrations export 2BKRXXXX -o mini.npz
       gelform calibrations export 2BKRXXXX --gel gel-2 -o gel-2.npz
     """
-    from gelform.calibration.library.library import matching
+    from gelform.calibration.library import matching
     from gelform.foundations.files import written_file
 
     check_output(output, overwrite=overwrite)

@@ -26,7 +26,7 @@ from gelform import (
     image_from_frame,
 )
 from gelform.arrays import Array, Map
-from gelform.calibration.library.library import NoCalibration, choose_calibration, unit_of
+from gelform.calibration.library import NoCalibration, choose_calibration, unit_of
 from gelform.calibration.starters import Starter, load_starter, starter_names, starter_of_source
 from gelform.image.background import USUAL_FRAMES
 from gelform.sensors.source import Source
