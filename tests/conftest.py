@@ -52,12 +52,15 @@ LONGEST = (
 def pytest_configure(config):
     """Without the slow tests, a tenth of the hostile cases is tried (`hostile/outcome.py`).
 
-    A shell's job in the background ignores Ctrl-C, and so would every command that a test starts and interrupts.
+    A shell's job in the background ignores Ctrl-C, one below nohup the end of its terminal, and so would every command that
+    a test starts and interrupts.
     """
     if config.option.markexpr == "not slow":
         os.environ.setdefault("GELFORM_ROBUSTNESS_FACTOR", "0.1")
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    for name, usual in (("SIGINT", signal.default_int_handler), ("SIGHUP", signal.SIG_DFL)):
+        kind = getattr(signal, name, None)
+        if kind is not None and signal.getsignal(kind) is signal.SIG_IGN:
+            signal.signal(kind, usual)
 
 
 def pytest_collection_modifyitems(items):
