@@ -16,7 +16,13 @@ import gelform
 from gelform.errors import CalibrationError
 from gelform.image import light
 from gelform.image.background import ChangeSettings, PreparedBackground
-from gelform.image.light import block_means, gain_from_blocks, light_from_blocks
+from gelform.image.light import (
+    block_means,
+    gain_from_blocks,
+    light_from_blocks,
+    scale_of_light,
+    without_light,
+)
 from gelform.image.registration import PreparedRegistration, registration_from_image
 from gelform.sensors.files import read_image
 from gelform.simulate import Ball, simulate_background, simulate_press
@@ -378,3 +384,11 @@ def test_what_is_no_mask_and_other_sizes_are_refused(touched):
         registration_from_image(image, image, touched)
     with pytest.raises(ValueError, match="144"):
         registration_from_image(np.zeros((10, 20, 3), np.uint8), gel(0.0))
+
+
+def test_what_undoes_a_light_is_its_inverse():
+    light = np.random.default_rng(0).uniform(-0.2, 0.2, (3, 4)) + np.array([0, 0, 0, 9])
+    image = np.random.default_rng(1).uniform(50, 200, (6, 8, 3)).astype(np.float32)
+    columns, rows, room = np.split(scale_of_light(image.shape, light), [24, 42])
+    undone = (image - room) * columns.reshape(8, 3) * rows.reshape(6, 1, 3)
+    np.testing.assert_allclose(undone, without_light(image, light), rtol=1e-5)
