@@ -192,6 +192,11 @@ class Problem:
     level: Level | None = None
     solver: str = "auto"
 
+    @cached_property
+    def region(self) -> Mask:
+        """The pixels (H, W) that define where depth is 0, of all frames of a stack."""
+        return zero_region(self.zero, self.gradients.shape[-3:-1])  # type: ignore[arg-type]
+
     def solved(self) -> Integration:
         """Solve each frame of the stack and set its zero.
 
@@ -235,18 +240,17 @@ class Problem:
 
     def _placed(self, depth: Map) -> Map:
         """Set the zero of each island that no anchor holds, level, then fill beyond the mask."""
-        region = zero_region(self.zero, depth.shape)  # type: ignore[arg-type]
         mask, held = self.mask, False if self.anchor is None else self.anchor > 0
         if mask is None:
             if not np.any(held):
-                depth -= zero_depth(depth, self.zero, region)
-            return self._levelled(depth, region)
+                depth -= zero_depth(depth, self.zero, self.region)
+            return self._levelled(depth, self.region)
         labels = _islands(mask)
         for island in range(1, int(labels.max()) + 1):
             inside = labels == island
             if not np.any(held & inside):
-                depth[inside] -= zero_depth(depth, self.zero, region, inside)
-        depth = self._levelled(depth, region & mask)
+                depth[inside] -= zero_depth(depth, self.zero, self.region, inside)
+        depth = self._levelled(depth, self.region & mask)
         return depth if mask.all() else fill_unknown(depth[..., None], mask)[..., 0]
 
     def _levelled(self, depth: Map, region: Mask) -> Map:
