@@ -14,9 +14,9 @@ import pytest
 
 import gelform
 from gelform.exchange.exporters.press_folder import save_press_folder
-from gelform.image.frame import Frame
+from gelform.image.view import Frame
+from gelform.sensors.mcap import McapRecording
 from gelform.sensors.playback import RecordingFacts
-from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.simulate import (
     LAYOUTS,
     Ball,
@@ -39,7 +39,7 @@ LONGEST = (
     "test_examples.py",
     "calibration/test_fit.py",
     "exchange/exporters/test_surface.py",
-    "cli/test_process.py",
+    "cli/test_console.py",
     "live/page/",
     "robustness/",
     "calibration/",

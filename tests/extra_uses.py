@@ -161,7 +161,7 @@ def use_ray() -> None:
 
 
 def shown_frame():
-    from gelform.image.frame import Frame
+    from gelform.image.view import Frame
     from gelform.live.shown import Shown
     from gelform.reconstruct import Reconstructor
 

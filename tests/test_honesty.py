@@ -10,8 +10,7 @@ import gelform
 from gelform.calibration.geometry.scale import scale_from_points
 from gelform.image.markers.follower import MarkerFollower
 from gelform.image.registration import PreparedRegistration
-from gelform.motion.between import LOST
-from gelform.motion.surface import step_of_pose
+from gelform.motion.between import LOST, step_of_pose
 from gelform.simulate import Ball, simulate_press
 from made.images import grid, image_of_dots
 from made.rigid_contacts import contact_of, pose, texture

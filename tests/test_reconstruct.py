@@ -15,8 +15,7 @@ import pytest
 
 import gelform
 from gelform.depth.sigma import DepthSigma
-from gelform.image.frame import Frame
-from gelform.image.view import View
+from gelform.image.view import Frame, View
 from gelform.reconstruct import ON_DEMAND, FromCalibration
 from gelform.result.maps import MAPS
 from gelform.simulate import Ball, Punch, simulate_press

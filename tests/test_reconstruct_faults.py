@@ -13,7 +13,7 @@ import pytest
 
 import gelform
 from gelform.depth.solvers import SOLVERS
-from gelform.simulate.twin import Twin
+from gelform.simulate.press import Twin
 from made.small_gel import (
     LIGHTS,
     MM_PER_PX,

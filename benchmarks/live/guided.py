@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import gelform
-from gelform.calibration.evaluate import evaluate
+from gelform.calibration.fit import evaluate
 from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.sensors.simulated import simulated_sensor_named
 from gelform.sensors.source import DEFAULT_SENSOR

@@ -15,10 +15,10 @@ import numpy as np
 from PIL import Image
 
 from gelform.calibration.library import ready_calibration
-from gelform.image.frame import Frame
+from gelform.image.view import Frame
 from gelform.sensors import simulated_sensor_named
+from gelform.sensors.mcap import McapRecording
 from gelform.sensors.playback import RecordingFacts
-from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.source import DEFAULT_SENSOR
 from gelform.simulate import Coin, simulate_press, text_relief
 from live.guided import wait_for

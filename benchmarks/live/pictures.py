@@ -17,10 +17,10 @@ import numpy as np
 
 import gelform
 from gelform.calibration.presses.press_set import presses_from_simulated
-from gelform.image.frame import Frame
+from gelform.image.view import Frame
 from gelform.sensors import simulated_sensor_named
+from gelform.sensors.mcap import McapRecording
 from gelform.sensors.playback import RecordingFacts
-from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.simulated import IMAGE_RATE_HZ, program
 from gelform.simulate import Screw, simulate_ball_presses, simulate_pose
 from live.guided import wait_for

@@ -10,7 +10,7 @@ import numpy as np
 
 import gelform
 from gelform.calibration.starters import load_starter
-from gelform.motion.surface import TouchedSurface, moved
+from gelform.motion.between import TouchedSurface, moved
 from gelform.motion.track import Follower
 from motion.judged import sigma_at, timed, two, within, yaw_of
 from motion.published import published_pose

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gelform.motion.between import Motion
-from gelform.motion.surface import about_other_center
+from gelform.motion.between import Motion, about_other_center
 
 
 def sigma_at(motion: Motion, point: np.ndarray) -> np.ndarray:

@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from gelform.motion.between import LEAST_SHARE
-from gelform.motion.surface import TouchedSurface, moved, pose_of_step
+from gelform.motion.between import LEAST_SHARE, TouchedSurface, moved, pose_of_step
 from gelform.result import Reconstruction
 
 STEPS, LAST = 30, 1e-5

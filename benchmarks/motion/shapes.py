@@ -10,7 +10,7 @@ import numpy as np
 import gelform
 from edges_of_cube import Line, frames, line_in, on_line
 from gelform.calibration.starters import load_starter
-from gelform.motion.surface import moved, step_of_pose
+from gelform.motion.between import moved, step_of_pose
 from gelform.simulate import (
     LAYOUTS,
     Ball,

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from gelform.exchange.exporters.surface import points_from_result
-from gelform.image.frame import Frame
+from gelform.image.view import Frame
 from gelform.reconstruct import Reconstructor
 from gelform.result import Reconstruction
 from gelform.robots.send import BagFile

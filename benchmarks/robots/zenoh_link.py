@@ -84,7 +84,7 @@ class Listener:
     """Decodes the published messages; records ages in ms of each topic, and arrival times of indentation."""
 
     def __init__(self, address: str) -> None:
-        from gelform.sensors.recordings.mcap_writer import typestore
+        from gelform.sensors.mcap import typestore
 
         self._store = typestore()
         self.ages_ms: dict[str, list[float]] = defaultdict(list)
@@ -155,7 +155,7 @@ def _ros_type(kind: str) -> str:
 
 
 def _hashes_equal() -> int:
-    from gelform.sensors.recordings.mcap_writer import typestore
+    from gelform.sensors.mcap import typestore
 
     store = typestore()
     return sum(store.hash_rihs01(kind) == known for kind, known in PUBLISHED_HASHES.items())

@@ -44,7 +44,7 @@ from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_ball_presses
 from gelform.simulate.light import exposed
 from gelform.slopes.color_models import ForwardResponse, HierarchicalModel, Samples
 from gelform.slopes.color_models.forward_response import RIDGES
-from gelform.slopes.color_models.least_squares import at_pixels, interpolation
+from gelform.slopes.color_models.seam import at_pixels, interpolation
 from presses import DATA, presses_of, unlabeled, with_circles
 
 FOLDER = Path(gelform.__file__).parent / "calibration" / "starters"

@@ -4,7 +4,7 @@ __version__: str
 
 from .sensors.files import read_image as read_image
 from .sensors.films import Video as Video
-from .image.frame import Frame as Frame
+from .image.view import Frame as Frame
 from .sensors.source import open_source as open_source
 from .sensors.grabber import Grabber as Grabber
 from .image.view import View as View
@@ -42,13 +42,13 @@ from .calibration.geometry.scale import scale_from_profile as scale_from_profile
 from .calibration.geometry.scale import scale_from_points as scale_from_points
 from .calibration.geometry.scale import scale_from_stage as scale_from_stage
 from .calibration.geometry.measured import crosstalk_from_frames as crosstalk_from_frames
-from .calibration.geometry.lens import view_from_grid as view_from_grid
+from .calibration.geometry.scale import view_from_grid as view_from_grid
 from .calibration.presses.folder import with_scale as with_scale
 from .calibration.loads import read_loads as read_loads
 from .calibration.fit import calibrate as calibrate
-from .calibration.evaluate import evaluate as evaluate
+from .calibration.fit import evaluate as evaluate
 from .calibration.starters import calibration_from_background as calibration_from_background
-from .exchange.importers.calibrations import import_calibration as import_calibration
+from .exchange.importers import import_calibration as import_calibration
 from .calibration_file import Calibration as Calibration
 from .calibration_file import load_calibration as load_calibration
 from .reconstruct import Reconstructor as Reconstructor

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.depth.force import ForceModel
-from gelform.errors import CalibrationError
+from gelform.errors import CalibrationError, Finding
 from gelform.foundations.checks import (
     check_gel_thickness,
     check_image,
@@ -22,13 +22,18 @@ from gelform.foundations.checks import (
     check_values,
     check_within,
 )
-from gelform.foundations.files import damaged, digest_of, kind_of_npz, read_npz, write_npz
-from gelform.foundations.findings import Finding
-from gelform.foundations.pictures import picture_bytes, shown_in_notebook
+from gelform.foundations.files import (
+    damaged,
+    digest_of,
+    kind_of_npz,
+    picture_bytes,
+    read_npz,
+    shown_in_notebook,
+    write_npz,
+)
 from gelform.image.agreement import background_digest
 from gelform.image.background import ChangeSettings
-from gelform.image.frame import as_levels
-from gelform.image.view import MAX_PIXELS, View
+from gelform.image.view import MAX_PIXELS, View, as_levels
 from gelform.slopes.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel, ForwardResponse
 from gelform.slopes.sigma import SlopeSigma
 

@@ -18,16 +18,15 @@ from gelform.depth.coarse import CoarseDepth
 from gelform.depth.contact import PreparedContact, SlopeDeviations, Surround, unknown_contact
 from gelform.depth.integrate import FrameDepth, Integration, checked_solver
 from gelform.depth.sigma import DepthErrors, DepthSigma, steep_finding
+from gelform.errors import Finding
 from gelform.foundations.checks import check_image
-from gelform.foundations.findings import Finding
 from gelform.foundations.pool import Pool, keep_freed_memory
 from gelform.image.agreement import background_digest, check_own_background, check_viewed_image
 from gelform.image.background import PreparedBackground, reference_from_color_change
-from gelform.image.frame import Frame, as_levels, whole_levels
 from gelform.image.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 from gelform.image.light import FrameLight
 from gelform.image.markers import MarkerFlow, MarkerFollower
-from gelform.image.view import image_from_frame
+from gelform.image.view import Frame, as_levels, image_from_frame, whole_levels
 from gelform.result import Later, Reconstruction
 from gelform.slopes.budget import (
     OUTLIER,

@@ -19,8 +19,8 @@ from gelform.batch.inputs import (
     shard_of,
 )
 from gelform.batch.records import read_manifest
+from gelform.sensors.mcap import McapRecording
 from gelform.sensors.playback import RecordingFacts
-from gelform.sensors.recordings.mcap_writer import McapRecording
 
 NATURAL = ("frame1.png", "frame2.png", "frame10.png", "frame11.png")
 

@@ -21,7 +21,7 @@ from gelform import DataError, Frame
 from gelform.batch import BatchSettings, Engine, RunOptions, listing_of, run_batch, verify_output
 from gelform.batch.inputs import plan_of
 from gelform.batch.records import read_record, record_path
-from gelform.batch.work import Job, Stopped, Worker, WorkerLostError, done_parts
+from gelform.batch.run import Job, Stopped, Worker, WorkerLostError, done_parts
 from made.small_gel import image_of, save
 from made.sources import recorded
 
@@ -138,9 +138,7 @@ def test_after_a_lack_of_memory_no_frame_gets_the_background_of_another_sequence
     worker = Worker(job(cal, tmp_path / "out", background_frames=1))
     first, second = plan_of(listing_of(two_lights), 2, 1)
     worker.do(first)
-    with patch(
-        "gelform.batch.work.background_of_film", side_effect=[MemoryError, image_of(None)]
-    ) as prepared:
+    with patch("gelform.batch.run.background_of_film", side_effect=[MemoryError, image_of(None)]) as prepared:
         without, row = worker.do(second).rows
     assert "Not enough memory" in without["error"]
     assert (prepared.call_count, row["error"]) == (2, "")

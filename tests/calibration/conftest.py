@@ -7,8 +7,8 @@ from gelform.calibration.circles.find import prepare
 from gelform.calibration.circles.locate import Located, Refined
 from gelform.calibration.held_out import PIXEL, table
 from gelform.calibration.report.content import report_content
-from gelform.calibration.report.learning import learning_curve
 from gelform.calibration.report.page import report_page
+from gelform.calibration.report.record import learning_curve
 from gelform.calibration.selection import HeldOutPresses, make_folds
 from gelform.result.metrics import ball_gradients
 

@@ -18,8 +18,7 @@ from gelform.calibration.circles.find import (
     untouched_change,
 )
 from gelform.calibration.circles.locate import Located, Refined, check_places, contact_radius_ratio, refine
-from gelform.calibration.evaluate import face_height_mm
-from gelform.calibration.fit import place_error_from_presses
+from gelform.calibration.fit import face_height_mm, place_error_from_presses
 from gelform.calibration.presses.press_set import FlatPress
 from gelform.calibration.selection import (
     FIRST_GUESS,

@@ -14,7 +14,7 @@ from gelform.calibration.guide import LEAST, NEXT_PLACES, STILL_LOOKS, Guide, Ju
 from gelform.calibration.starters import load_starter
 from gelform.errors import GelformError
 from gelform.image.background import USUAL_FRAMES
-from gelform.image.frame import Frame
+from gelform.image.view import Frame
 from gelform.sensors.files import SensorSettings
 from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_press
 

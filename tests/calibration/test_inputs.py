@@ -32,8 +32,7 @@ from gelform.calibration.inputs import (
 )
 from gelform.calibration.presses.press_set import FlatPress, presses_from_simulated
 from gelform.calibration.report.content import report_content
-from gelform.calibration.report.learning import learning_curve
-from gelform.calibration.report.record import used_in_words
+from gelform.calibration.report.record import learning_curve, used_in_words
 from gelform.calibration.start import Start, starter_start
 from gelform.calibration.starters import starter_from_calibration
 from gelform.errors import CalibrationError

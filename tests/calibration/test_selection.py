@@ -44,9 +44,10 @@ from gelform.calibration.start import Start
 from gelform.errors import CalibrationError
 from gelform.reconstruct import Reconstructor
 from gelform.result.metrics import ball_gradients
-from gelform.slopes.color_models import COLOR_MODELS, ForwardResponse, HierarchicalModel, hierarchical
+from gelform.slopes.color_models import COLOR_MODELS, ForwardResponse, HierarchicalModel
+from gelform.slopes.color_models import polynomial as hierarchical
 from gelform.slopes.color_models.forward_response import RIDGES, TERMS, Step
-from gelform.slopes.color_models.least_squares import node_positions
+from gelform.slopes.color_models.seam import node_positions
 from made.images import ball_samples, lambertian_change
 
 

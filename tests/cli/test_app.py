@@ -110,7 +110,7 @@ def test_numbers_are_read_and_others_refused():
 
 def test_the_names_are_those_of_the_tables():
     from gelform.calibration.starters import starter_names
-    from gelform.exchange.importers.calibrations import PACKAGES
+    from gelform.exchange.importers import PACKAGES
     from gelform.simulate import LAYOUTS
     from gelform.slopes.color_models import COLOR_MODELS
 

@@ -18,7 +18,7 @@ from gelform.depth.coarse import (
 )
 from gelform.depth.integrate import depth_from_gradients
 from gelform.slopes.color_models.forward_response import TERMS, ForwardResponse, PreparedStep
-from gelform.slopes.color_models.least_squares import node_positions
+from gelform.slopes.color_models.seam import node_positions
 from gelform.slopes.gradients import gradients_from_depth
 from kernel_agreement import assert_kernel_agrees
 

@@ -2,6 +2,8 @@
 
 Whole files: what is no file, too large or unreadable is named before anything is read.
 
+Picture files hold the pixels that were given, red first.
+
 Tables: text comes back as it was, and no cell begins as a formula does.
 
 Files are written whole or not at all, and an altered, cut or future one is refused with the reason.
@@ -15,6 +17,7 @@ import sys
 import time
 import zipfile
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -24,11 +27,13 @@ from hypothesis.extra import numpy as hnp
 from gelform import __version__
 from gelform.errors import CalibrationError, DataError
 from gelform.foundations.files import (
+    FAST_PNG,
     WAYS,
     bytes_of,
     kind_of_npz,
     locked_folder,
     npz_bytes,
+    picture_bytes,
     plain_cell,
     present_file,
     read_npz,
@@ -361,3 +366,27 @@ def test_what_killed_runs_left_is_swept_and_nothing_else(tmp_path):
         assert [folder.exists() for folder in folders] == [False, True, True, True]
     sweep(tmp_path, "out")
     assert [folder.exists() for folder in folders] == [False, False, True, True]
+
+
+IMAGE = np.random.default_rng(0).integers(0, 256, (7, 9, 3)).astype(np.uint8)
+
+
+def decoded(content):
+    return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+
+
+@pytest.mark.parametrize("settings", [(), FAST_PNG])
+def test_images_come_back_with_red_first(settings):
+    np.testing.assert_array_equal(decoded(picture_bytes(IMAGE, settings=settings))[..., ::-1], IMAGE)
+
+
+def test_maps_keep_their_type():
+    levels = IMAGE[..., 0].astype(np.uint16) * 257
+    np.testing.assert_array_equal(decoded(picture_bytes(levels)), levels)
+    depth = levels.astype(np.float32) / 7
+    np.testing.assert_array_equal(decoded(picture_bytes(depth, ".tiff")), depth)
+
+
+def test_what_no_picture_holds_is_refused():
+    with pytest.raises(DataError, match="cannot encode a picture of 0x4 px as PNG"):
+        picture_bytes(np.zeros((0, 4, 3), np.uint8))

@@ -16,7 +16,7 @@ import numpy as np
 
 import gelform
 from gelform.exchange.exporters.press_folder import save_press_folder
-from gelform.exchange.importers.tables import read_taxim_forward
+from gelform.exchange.importers import read_taxim_forward
 from gelform.foundations.files import digest_of
 from gelform.sensors.files import read_sensor_toml
 from made.files import network_arrays, torch_file, web_file

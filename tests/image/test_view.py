@@ -11,9 +11,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from gelform.image.frame import Frame, pixels_digest
 from gelform.image.view import (
     FLIPS,
+    Frame,
     Lens,
     View,
     _maps_to_image,
@@ -23,6 +23,7 @@ from gelform.image.view import (
     image_from_frame,
     image_px_from_frame_px,
     pixel_positions,
+    pixels_digest,
 )
 from made.images import frame_from_image
 

@@ -17,8 +17,8 @@ import pytest
 import gelform
 from gelform import DataError, Frame, GelformError, SensorError, SourceLostError
 from gelform.live import actions
+from gelform.live.actions import start
 from gelform.live.hub import GRACE_S, Hub, Pages, page_named, sentence_for_page
-from gelform.live.start import start
 from gelform.live.station import Setup
 from gelform.live.web.client import done
 from gelform.sensors.films import open_film

@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 
 from gelform import CalibrationError, DataError, GelformError, SensorError, open_source
 from gelform.live import actions
+from gelform.live.actions import start
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations, Devices, Recordings
-from gelform.live.start import start
 from gelform.live.station import Setup
 from gelform.live.web.client import text
 from gelform.sensors.cameras import SETTABLE, Camera

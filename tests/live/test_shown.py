@@ -16,9 +16,8 @@ import pytest
 
 import gelform
 from gelform.depth.force import ForceModel, ForcePart
-from gelform.errors import DataError, GelformError
+from gelform.errors import DataError, Finding, GelformError
 from gelform.exchange.exporters.surface import ZERO_LEVEL
-from gelform.foundations.findings import Finding
 from gelform.live.shown import (
     CONTACT,
     KEPT_SNAPSHOTS,

@@ -23,9 +23,9 @@ from gelform.calibration.library import add_calibration
 from gelform.calibration.starters import load_starter
 from gelform.exchange.plots import save_picture
 from gelform.live import actions
+from gelform.live.actions import start
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations
-from gelform.live.start import start
 from gelform.live.station import Setup
 from gelform.sensors import cameras as plugged_in
 from gelform.sensors.cameras import Camera
@@ -167,7 +167,7 @@ def test_a_camera_that_another_program_has_is_said_with_its_name(tmp_path, monke
 @pytest.mark.slow
 def test_what_calibrates_is_imported_when_it_is_needed():
     """It takes as long as the first picture."""
-    loaded = "import sys, gelform.live.start, gelform.live.web.app; print(*sys.modules)"
+    loaded = "import sys, gelform.live.actions, gelform.live.web.app; print(*sys.modules)"
     run = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
     light = ("gelform.calibration.library", "gelform.calibration.starters")
     heavy = [one for one in run.stdout.split() if one.startswith(("gelform.calibration.", "scipy.optimize"))]

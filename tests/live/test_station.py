@@ -13,8 +13,7 @@ import pytest
 from gelform.errors import CalibrationError, SensorError, SourceLostError
 from gelform.live.hub import Hub
 from gelform.live.station import UNWATCHED_S, MovedSince, Setup, Station
-from gelform.motion.between import FOUND, LOST, UNSURE
-from gelform.motion.surface import pose_of_step
+from gelform.motion.between import FOUND, LOST, UNSURE, pose_of_step
 from gelform.sensors.record import Recorder
 from gelform.simulate import simulate_background
 from live_waiting import until

@@ -19,9 +19,8 @@ import cv2
 import numpy as np
 
 from gelform.exchange.plots import save_picture
-from gelform.image.frame import as_levels
 from gelform.image.health import ImageBlocks, blocks_from_image
-from gelform.image.view import image_px_from_frame_px, pixel_positions
+from gelform.image.view import as_levels, image_px_from_frame_px, pixel_positions
 from gelform.slopes.color_models import Samples
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from gelform.motion.surface import moved, pose_of_step
+from gelform.motion.between import moved, pose_of_step
 from gelform.result import Reconstruction
 
 SHAPE, MM_PER_PX = (120, 150), 0.08

@@ -13,8 +13,8 @@ from gelform.calibration_file import Calibration
 from gelform.image.background import ChangeSettings
 from gelform.image.view import View
 from gelform.slopes.color_models.forward_response import TERMS, ForwardResponse, normal_terms
-from gelform.slopes.color_models.least_squares import monomial_products, monomials, node_positions
 from gelform.slopes.color_models.physical import LambertianModel
+from gelform.slopes.color_models.seam import monomial_products, monomials, node_positions
 from gelform.slopes.sigma import SlopeSigma
 
 SHAPE = (64, 80)

@@ -25,9 +25,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.image.frame import Frame
+from gelform.image.view import Frame
+from gelform.sensors.mcap import McapRecording
 from gelform.sensors.playback import Playback, RecordingFacts
-from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.simulate import LAYOUTS, Coating, Gel, Led, SimulatedSensor
 
 

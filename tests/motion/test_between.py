@@ -1,4 +1,7 @@
-"""Known motions of known bodies: found within their covariance, blind directions named, nothing invented. The
+"""Rigid motions as matrices and as steps about a center. The equations of a small motion: the kernel against numpy, and
+the derivatives against differences.
+
+Known motions of known bodies: found within their covariance, blind directions named, nothing invented. The
 covariance of a pose: its parts, and that it lies in the seen directions alone. Which directions are seen, and the words
 for those that are not.
 """
@@ -11,12 +14,27 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.motion.between import FOUND, LOST, UNSURE, blind_directions, has_moved, pose_covariance
-from gelform.motion.surface import TouchedSurface, moved, pose_of_step, step_of_pose
+from gelform.motion import between as surface
+from gelform.motion.between import (
+    FOUND,
+    LOST,
+    UNSURE,
+    TouchedSurface,
+    about_other_center,
+    blind_directions,
+    checked_pose,
+    has_moved,
+    moved,
+    pose_covariance,
+    pose_of_step,
+    step_of_pose,
+    turn_deg,
+)
+from kernel_agreement import assert_kernel_agrees
 from made.rigid_contacts import (
     BALL_MM,
-    CENTER,
     DEPTH_MM,
+    MM_PER_PX,
     SHAPE,
     ball,
     contact_of,
@@ -25,8 +43,141 @@ from made.rigid_contacts import (
     pose,
     texture,
 )
+from made.rigid_contacts import CENTER as MIDDLE
 
-pytestmark = pytest.mark.linear_algebra
+STEP = np.array([0.2, -0.1, 0.05, 0.03, -0.06, 0.12])
+CENTER = np.array([1.0, -2.0, 0.5])
+
+
+def test_a_step_and_its_pose():
+    pose = pose_of_step(STEP, CENTER)
+    np.testing.assert_allclose(step_of_pose(pose, CENTER), STEP, atol=1e-12)
+    np.testing.assert_allclose(moved(pose, CENTER), CENTER + STEP[:3])
+    assert turn_deg(pose) == pytest.approx(np.degrees(np.linalg.norm(STEP[3:])))
+    offset, small = np.array([0.7, -0.3, 1.1]), 1e-5 * STEP  # about another center it is the same motion
+    same = pose_of_step(about_other_center(offset) @ small, CENTER + offset)
+    np.testing.assert_allclose(same, pose_of_step(small, CENTER), atol=1e-9)
+
+
+def test_turns_lead_from_x_to_y_to_z():
+    for k, (first, then) in enumerate(((1, 2), (2, 0), (0, 1))):
+        step = np.zeros(6)
+        step[3 + k] = 0.1
+        axis = np.eye(3)[first]
+        assert moved(pose_of_step(step, np.zeros(3)), axis)[then] == pytest.approx(np.sin(0.1))
+
+
+@pytest.mark.parametrize(
+    "wrong", [np.eye(3), 2 * np.eye(4), np.diag([1.0, 1, -1, 1]), np.eye(4) + np.eye(4, k=-1)]
+)
+def test_what_is_no_rigid_motion_is_refused(wrong):
+    with pytest.raises(ValueError, match="rigid motion"):
+        checked_pose(wrong, "start")
+
+
+@pytest.fixture(scope="module")
+def surfaces():
+    moved = contact_of(texture(), pose(0.2, -0.1, 0.02, 1, -1, 3), seed=2)
+    return TouchedSurface(contact_of(texture(), seed=1)), TouchedSurface(moved)
+
+
+def between(values, x, y):
+    """Bilinear interpolation at places inside the map."""
+    row, col = (np.minimum(v.astype(int), size - 2) for v, size in zip((y, x), values.shape))
+    a, b = (v.reshape(-1, *(1,) * (values.ndim - 2)) for v in (x - col, y - row))
+    top = values[row, col] * (1 - a) + values[row, col + 1] * a
+    return top * (1 - b) + b * (values[row + 1, col] * (1 - a) + values[row + 1, col + 1] * a)
+
+
+def reference(
+    points, slopes, variance, gradients, depth, along_x, along_y, variances, contact, inner, pose, center, pitch,
+    origin, huber, residual, jacobian, weight, inside, normal,
+):  # fmt: skip
+    """The rows in double precision, one formula for all points."""
+    turn, shift = pose[:, :3], pose[:, 3]
+    q = points.astype(float) @ turn.T + shift
+    n = np.column_stack([-slopes, np.ones(len(points))]).astype(float) @ turn.T
+    x, y = (q[:, :2] / pitch + origin).T
+    height, width = depth.shape
+    there = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+    x, y = np.where(there, x, 0), np.where(there, y, 0)
+    there &= (between(contact.astype(float), x, y) > 0.5) & (n[:, 2] > 0.2 * np.linalg.norm(n, axis=1))
+    g, z = between(gradients.astype(float), x, y), between(depth.astype(float), x, y)
+    change = np.stack([between(one.astype(float), x, y) for one in (along_x, along_y)], axis=2)
+    basis = np.eye(3)
+    shifts = [np.broadcast_to(e, q.shape) for e in basis]
+    moves = np.stack([*shifts, *(np.cross(e, q - center) for e in basis)], 2)
+    turns = np.stack([np.zeros_like(n)] * 3 + [np.cross(e, n) for e in basis], 2)
+    slope = -n[:, :2] / n[:, 2:]
+    of_normal = -(turns[:, :2] + slope[..., None] * turns[:, 2:]) / n[:, 2, None, None]
+    of_depth = np.einsum("ni,nij->nj", g, moves[:, :2])[:, None] - moves[:, 2:]
+    rows = np.concatenate([change @ moves[:, :2] - of_normal, of_depth], 1)
+    residual = np.column_stack([g - slope, z - q[:, 2]])
+    both = variance + between(variances.astype(float), x, y)
+    weight = 1 / both
+    there_too = there[:, None]
+    rows, residual, weight = rows * there_too[..., None], residual * there_too, weight * there_too
+    off = np.sqrt(weight) * np.abs(residual)
+    most = huber * np.sqrt(np.sum(off**2) / (3 * there.sum()))
+    weight = weight * np.where(off > most, most / np.maximum(off, 1e-12), 1)
+    information = np.einsum("nki,nk,nkj->ij", rows, weight, rows)
+    right = -np.einsum("nki,nk,nk->i", rows, weight, residual)
+    inside = there & inner[np.floor(y + 0.5).astype(int), np.floor(x + 0.5).astype(int)]
+    return residual, rows, weight, inside, np.column_stack([information, right])
+
+
+def test_the_kernel_is_the_written_method(surfaces):
+    first, second = surfaces
+    motion = pose(0.25, -0.05, 0.02, 1, -2, 2)[:3]
+    n = len(first.points)
+    assert_kernel_agrees(
+        surface._motion_rows, reference, first.points, first.slopes, first.point_variances, second.gradients,
+        second.depth, *second.derivatives, second.variances, second.contact, second.inner, motion.copy(),
+        np.array([0.2, 0.1, 0.5]), second.pitch, second.origin, 2.0, np.zeros((n, 3), np.float32),
+        np.zeros((n, 3, 6), np.float32), np.zeros((n, 3), np.float32), np.zeros(n, bool), np.zeros((6, 7)), tolerance=2e-4,
+    )  # fmt: skip
+
+
+def test_the_jacobian_is_the_change_of_the_residuals():
+    """For each of the six steps, on a surface without errors."""
+    first = TouchedSurface(contact_of(texture()))
+    second = TouchedSurface(contact_of(texture(), pose(0.1, 0.05)))
+    begin = pose(0.1, 0.05)
+    at = first.equations(second, begin)
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = 0.02
+        after, before = (first.equations(second, pose_of_step(s * step, at.center) @ begin) for s in (1, -1))
+        inner = at.shared & after.shared & before.shared & first.own.inside
+        change = (after.residual - before.residual)[inner] / (2 * step[k])
+        wanted = at.jacobian[inner, :, k]
+        left = np.sqrt(np.mean(np.square(change - wanted), axis=0)) / np.sqrt(np.mean(np.square(change)))
+        assert left.max() < 0.12, f"{k}: {left}"
+
+
+def test_points_are_in_millimeters_from_the_middle(surfaces):
+    first, _ = surfaces
+    row, col = first.pixels[7]
+    x, y = (np.array([col, row]) - first.origin) * MM_PER_PX
+    np.testing.assert_allclose(first.points[7, :2], (x, y), atol=1e-6)
+    np.testing.assert_allclose(first.points[:, :2].mean(axis=0), 0, atol=0.02)  # the contact is in the middle
+    assert first.points[7, 2] == first.depth[row, col]
+
+
+def test_gaps_between_the_tops_of_a_texture_belong_to_the_contact():
+    result = contact_of(texture())
+    holes = result.contact.copy()
+    holes[::5, ::5] = False
+    assert TouchedSurface(contact_of(texture(), contact=holes)).count > TouchedSurface(result).count - 10
+    assert holes.sum() < result.contact.sum() - 150
+    unknown = ~((np.indices(result.shape) % 5 == 0).all(axis=0))
+    assert TouchedSurface(contact_of(texture(), known=unknown)).count < TouchedSurface(result).count
+
+
+def test_a_result_without_a_scale_has_no_motion():
+    with pytest.raises(gelform.GelformError, match="no scale"):
+        TouchedSurface(contact_of(texture(), mm_per_px=None))
+
 
 # Shift in mm and turns in degrees: one direction each, and all together.
 MOTIONS = {
@@ -41,6 +192,7 @@ def off_by(motion, true):
     return step_of_pose(motion.pose @ np.linalg.inv(true), motion.center_mm)
 
 
+@pytest.mark.linear_algebra
 @pytest.mark.parametrize("name", MOTIONS)
 def test_a_textured_plate_without_errors(name):
     true = pose(**MOTIONS[name])
@@ -51,9 +203,10 @@ def test_a_textured_plate_without_errors(name):
     assert np.degrees(np.abs(off_by(found, true)[3:]).max()) < 0.15
 
 
+@pytest.mark.linear_algebra
 def test_turns_of_a_ball_are_blind_and_named():
     """The ball moves and turns; its center is found, its turn is not, and nobody claims it."""
-    true = pose_of_step(np.array([0.3, 0.15, 0, 0.05, -0.05, 0.15]), CENTER - (0, 0, BALL_MM))
+    true = pose_of_step(np.array([0.3, 0.15, 0, 0.05, -0.05, 0.15]), MIDDLE - (0, 0, BALL_MM))
     found = gelform.motion_between(contact_of(ball, seed=1), contact_of(ball, true, seed=2))
     assert found.state == FOUND
     center = np.array([0, 0, DEPTH_MM - BALL_MM])
@@ -69,21 +222,24 @@ def test_turns_of_a_ball_are_blind_and_named():
     assert np.degrees(np.linalg.norm(step_of_pose(found.pose, found.center_mm)[3:])) < 0.5
 
 
+@pytest.mark.linear_algebra
 def test_blind_directions_take_the_prior_alone():
-    true = pose_of_step(np.array([0.3, 0.15, 0, 0, 0, 0.1]), CENTER - (0, 0, BALL_MM))
-    start = pose_of_step(np.array([0.2, 0.1, 0, 0, 0, 0.1]), CENTER - (0, 0, BALL_MM))
+    true = pose_of_step(np.array([0.3, 0.15, 0, 0, 0, 0.1]), MIDDLE - (0, 0, BALL_MM))
+    start = pose_of_step(np.array([0.2, 0.1, 0, 0, 0, 0.1]), MIDDLE - (0, 0, BALL_MM))
     a, b = contact_of(ball, seed=1), contact_of(ball, true, seed=2)
     found = gelform.motion_between(a, b, start=start, prior=(1.0, 0.02))
     assert np.sqrt(found.covariance[5, 5]) == pytest.approx(0.02, rel=0.05)
     assert step_of_pose(found.pose, found.center_mm)[5] == pytest.approx(0.1, abs=0.005)
 
 
+@pytest.mark.linear_algebra
 def test_a_sure_prior_is_kept():
     a, b = contact_of(texture(), seed=1), contact_of(texture(), pose(0.3), seed=2)
     found = gelform.motion_between(a, b, start=pose(0.2), prior=(1e-5, 1e-5))
     np.testing.assert_allclose(found.pose, pose(0.2), atol=1e-3)
 
 
+@pytest.mark.linear_algebra
 def test_a_cylinder_shifts_and_turns_along_its_axis_unseen():
     true = pose(0.1, 0.3)
     found = gelform.motion_between(contact_of(cylinder, seed=1), contact_of(cylinder, true, seed=2))
@@ -95,6 +251,7 @@ def test_a_cylinder_shifts_and_turns_along_its_axis_unseen():
     assert found.pose[0, 3] == pytest.approx(0, abs=0.05), "no motion along the axis is claimed"
 
 
+@pytest.mark.linear_algebra
 def test_a_plate_shows_depth_and_tilts_alone():
     true = pose(0.3, 0.2, 0.05, 1.0, -0.5)
     found = gelform.motion_between(contact_of(plate, seed=1), contact_of(plate, true, seed=2))
@@ -103,6 +260,7 @@ def test_a_plate_shows_depth_and_tilts_alone():
     np.testing.assert_allclose(step[2:5], [0.05, *np.radians([1.0, -0.5])], atol=0.01)
 
 
+@pytest.mark.linear_algebra
 def test_what_fills_the_view_has_no_depth():
     a, b = (contact_of(texture(), one, radius_mm=20, seed=3) for one in (None, pose(0.3, z=0.05)))
     found = gelform.motion_between(a, b)
@@ -113,6 +271,7 @@ def test_what_fills_the_view_has_no_depth():
     assert found.pose[0, 3] == pytest.approx(0.3, abs=0.01)
 
 
+@pytest.mark.linear_algebra
 def test_a_plate_without_any_error_shows_no_more():
     """The equations are singular then, exactly."""
     found = gelform.motion_between(contact_of(plate), contact_of(plate, pose(0.3)))
@@ -147,6 +306,7 @@ DEGENERATE = {
 }
 
 
+@pytest.mark.linear_algebra
 @pytest.mark.parametrize("name", DEGENERATE)
 def test_the_covariance_is_definite_where_residuals_say_nothing(name):
     """So nobody who inverts it meets a singular matrix; rounding may not decide that."""
@@ -157,6 +317,7 @@ def test_the_covariance_is_definite_where_residuals_say_nothing(name):
     assert np.linalg.eigvalsh(unit[:, None] * found.covariance * unit).min() > 1e-10
 
 
+@pytest.mark.linear_algebra
 @pytest.mark.parametrize("kind", ["depth", "gradients"])
 def test_what_no_gel_shows_is_refused(kind):
     one = contact_of(plate)
@@ -164,6 +325,7 @@ def test_what_no_gel_shows_is_refused(kind):
         gelform.motion_between(replace(one, **{kind: getattr(one, kind) + np.float32(1e18)}), one)
 
 
+@pytest.mark.linear_algebra
 def test_unknown_sigmas_count_little():
     """NaN, infinity, or none at all."""
     first, second = contact_of(texture(), seed=1), contact_of(texture(), pose(0.3), seed=2)
@@ -174,6 +336,7 @@ def test_unknown_sigmas_count_little():
         assert gelform.motion_between(unsure, second).pose[0, 3] == pytest.approx(0.3, abs=0.01)
 
 
+@pytest.mark.linear_algebra
 def test_without_a_start_the_middle_of_the_contact_leads():
     true = pose(1.3, -0.9, yaw=3.0)
     found = gelform.motion_between(contact_of(texture(), seed=1), contact_of(texture(), true, seed=2))
@@ -181,6 +344,7 @@ def test_without_a_start_the_middle_of_the_contact_leads():
     assert np.abs(off_by(found, true)).max() < 0.02
 
 
+@pytest.mark.linear_algebra
 def test_slopes_count_as_they_were_read():
     """The solved ones may have a crest at another place."""
     first, second = contact_of(texture(), seed=1), contact_of(texture(), pose(0.3), seed=2)
@@ -190,6 +354,7 @@ def test_slopes_count_as_they_were_read():
     assert found.pose[0, 3] == pytest.approx(0.3, abs=0.01)
 
 
+@pytest.mark.linear_algebra
 def test_an_object_that_hardly_moved_cannot_be_told_from_a_blind_one():
     found = gelform.motion_between(contact_of(texture(), seed=1), contact_of(texture(), pose(0.05), seed=2))
     assert found.state == UNSURE
@@ -213,6 +378,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.linear_algebra
 @pytest.mark.parametrize("why", REFUSED)
 def test_no_motion_is_invented(why):
     second, start = REFUSED[why]
@@ -222,6 +388,7 @@ def test_no_motion_is_invented(why):
     assert re.search(why, found.why), found.why
 
 
+@pytest.mark.linear_algebra
 def test_wrong_arguments_are_errors():
     priors = [{"prior": prior} for prior in [(0.1,), (0.1, 0), (1e-300, 0.1), (0.1, 1e9)]]
     for wrong in (*priors, {"start": np.zeros((4, 4))}, {"place_error": -1}):
@@ -229,6 +396,7 @@ def test_wrong_arguments_are_errors():
             gelform.motion_between(touch(), touch(), **wrong)
 
 
+@pytest.mark.linear_algebra
 def test_the_pose_is_that_of_the_simulator(sensor, calibration):
     """Axes and signs, through images: x to the right, y down, yaw clockwise in the image."""
     from gelform.simulate import HeightMap, Pose, simulate_pose
@@ -258,6 +426,7 @@ def covariance_of(first, at, mm, directions=6):
     return pose_covariance(first, at, inverse, mm)
 
 
+@pytest.mark.linear_algebra
 def test_the_place_adds_to_x_and_y_and_to_turns_over_the_contact(fitted):
     plain, placed = (covariance_of(*fitted, mm) for mm in (0.0, 0.1))
     away = fitted[0].points - fitted[0].middle
@@ -269,6 +438,7 @@ def test_the_place_adds_to_x_and_y_and_to_turns_over_the_contact(fitted):
     assert unseen[0, 0] > 0
 
 
+@pytest.mark.linear_algebra
 def test_what_all_slopes_have_in_common(fitted):
     """Without other errors the covariance is that of slopes off by 0.003, and too steep by 2 %, along each axis."""
     first, at = fitted
@@ -284,6 +454,7 @@ def test_what_all_slopes_have_in_common(fitted):
     np.testing.assert_allclose(covariance_of(first, sure, 0.0), wanted, rtol=1e-3, atol=1e-12)
 
 
+@pytest.mark.linear_algebra
 @pytest.mark.parametrize("shift", [(0.08, 0), (0, -0.12), (0.06, 0.06)])
 def test_what_stays_at_its_place_pulls_the_object_back(shift):
     """The same errors in both frames match best without a motion, so residuals do not show them; the covariance does."""
@@ -308,6 +479,7 @@ def blind_of(face, seeds=(1, 2), **fields):
     return blind_directions(first, first.equations(second, pose(0.3, 0.1)))
 
 
+@pytest.mark.linear_algebra
 @pytest.mark.slow
 def test_all_turns_of_a_ball_are_blind_and_no_texture_is():
     values = [one.correlation for seed in range(8) for one in blind_of(ball, (seed, seed + 50))[0]]
@@ -315,6 +487,7 @@ def test_all_turns_of_a_ball_are_blind_and_no_texture_is():
     assert not any(blind_of(texture(seed), (seed, seed + 50))[0] for seed in range(8))
 
 
+@pytest.mark.linear_algebra
 def test_the_same_errors_in_both_frames_look_like_shape():
     """That is why an object has to move: the test could not tell otherwise."""
     first = TouchedSurface(contact_of(cylinder, seed=1))
@@ -330,6 +503,7 @@ def oval(x, y):
     return -(x**2) / 6 - y**2 / 10
 
 
+@pytest.mark.linear_algebra
 def test_shape_counts_from_the_error_that_slopes_may_carry():
     """An oval rolls unseen at most, unless its slopes may be as wrong as they would be of a ball."""
     assert not any("ball" in one.words or "about z" in one.words for one in blind_of(oval)[0])
@@ -344,6 +518,7 @@ def edge(x, y):
     return -0.4 * np.abs(y - 0.1 * x)
 
 
+@pytest.mark.linear_algebra
 def test_a_blind_shift_turns_nothing():
     """Its least turn, times a prior of 10 mm, would make a yaw look uncertain that is seen."""
     for seeds in ((1, 2), (3, 4), (5, 6)):
@@ -355,6 +530,7 @@ def test_a_blind_shift_turns_nothing():
         assert np.linalg.matrix_rank(seen[3:]) == 3, "all turns are seen"
 
 
+@pytest.mark.linear_algebra
 def test_the_other_directions_are_seen():
     """Free motions of a ball are shifts; those of a cylinder do not roll, and do not shift along it."""
     blind, seen = blind_of(ball)

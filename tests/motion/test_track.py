@@ -13,8 +13,7 @@ import pytest
 import gelform
 from gelform.calibration.starters import load_starter
 from gelform.exchange.exporters.surface import save_surface
-from gelform.motion.between import FOUND, LOST, Motion
-from gelform.motion.surface import moved, step_of_pose
+from gelform.motion.between import FOUND, LOST, Motion, moved, step_of_pose
 from gelform.motion.track import after
 from gelform.simulate import Coin, Pose, Torus, simulate_sequence
 from made.rigid_contacts import DEPTH_MM, MM_PER_PX, ball, contact_of, plate, pose, texture

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelform.foundations.findings import Finding
+from gelform.errors import Finding
 from gelform.result import Reconstruction
 
 

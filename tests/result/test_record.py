@@ -17,9 +17,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.errors import ConvergenceError, DataError, GelformError
+from gelform.errors import ConvergenceError, DataError, Finding, GelformError
 from gelform.foundations.files import read_npz, write_npz
-from gelform.foundations.findings import Finding
 from gelform.image.markers import MarkerFlow
 from gelform.result import KIND, Later, Reconstruction, load_result, save_result
 from gelform.result.maps import BESIDE_DEPTH, KEPT_MAPS, MAPS

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gelform.image.frame import Frame
+from gelform.image.view import Frame
 from gelform.robots.send import save_bag
 from gelform.sensors.playback import RecordingFacts
 from gelform.simulate import Ball, Pose, simulate_pose

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gelform import DataError, Frame, Reconstruction, open_source
-from gelform.foundations.findings import Finding
+from gelform.errors import Finding
 from gelform.robots.send import BagFile
 
 Reader = pytest.importorskip("rosbags.rosbag2", reason="the extra ros is not installed").Reader

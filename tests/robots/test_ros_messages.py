@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from gelform import DataError, Frame, Reconstruction
 from gelform.depth.force import ForceModel, ForcePart
-from gelform.foundations.findings import Finding
+from gelform.errors import Finding
 from gelform.image.markers import MarkerFlow
 from gelform.robots import depth_from_lerobot_levels, lerobot_levels_from_depth
 from gelform.robots.ros_messages import RosMessages, optical_pose

@@ -13,7 +13,7 @@ import gelform
 from gelform.errors import CalibrationError, DataError
 from gelform.exchange.exporters.surface import points_from_result
 from gelform.robots.send import StampedResults, publish, save_bag
-from gelform.sensors.recordings.mcap_writer import typestore
+from gelform.sensors.mcap import typestore
 from made.small_gel import save
 from made.sources import ImageSource, frames
 

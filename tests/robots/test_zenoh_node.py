@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from gelform import Frame, GelformError, Reconstruction
-from gelform.foundations.findings import Finding
+from gelform.errors import Finding
 from gelform.robots.zenoh_node import Node, ZenohNode, attachment, dds_type, gid_from_token
-from gelform.sensors.recordings.mcap_writer import typestore
+from gelform.sensors.mcap import typestore
 
 IMAGE = "sensor_msgs/msg/Image"
 HASH = "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47"

@@ -20,7 +20,7 @@ from gelform.calibration.presses.folder import read_presses
 from gelform.cli import main
 from gelform.errors import CalibrationError, DataError, GelformError
 from gelform.exchange.exporters.press_folder import save_press_folder
-from gelform.exchange.importers.tables import is_taxim_forward, read_lut, read_taxim_forward
+from gelform.exchange.importers import is_taxim_forward, read_lut, read_taxim_forward
 from gelform.foundations.files import write_npz
 from gelform.sensors.files import read_sensor_toml
 from gelform.sensors.simulated import read_simulated_sensor

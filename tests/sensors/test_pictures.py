@@ -16,8 +16,8 @@ import pytest
 import gelform
 from gelform.batch import run_batch
 from gelform.errors import DataError
-from gelform.foundations.pictures import picture_bytes
-from gelform.image.frame import as_levels
+from gelform.foundations.files import picture_bytes
+from gelform.image.view import as_levels
 from gelform.sensors import pictures
 from gelform.sensors.files import IMAGE_SUFFIXES
 from gelform.sensors.pictures import (

@@ -16,9 +16,19 @@ import pytest
 
 import gelform
 from gelform.errors import CalibrationError, DataError
-from gelform.image.frame import Frame
+from gelform.image.view import Frame
 from gelform.sensors.films import open_film
 from gelform.sensors.grabber import Grabber
+from gelform.sensors.mcap import (
+    RAW_SCHEMA_NAME,
+    SCHEMA_NAME,
+    McapRecording,
+    decoded,
+    end_missing,
+    message_from_picture,
+    pixels_from_raw,
+    time_ns_of,
+)
 from gelform.sensors.playback import (
     Playback,
     RecordingFacts,
@@ -36,16 +46,6 @@ from gelform.sensors.record import (
     new_recording,
     record_frames,
     share,
-)
-from gelform.sensors.recordings.mcap_reader import end_missing
-from gelform.sensors.recordings.mcap_writer import (
-    RAW_SCHEMA_NAME,
-    SCHEMA_NAME,
-    McapRecording,
-    decoded,
-    message_from_picture,
-    pixels_from_raw,
-    time_ns_of,
 )
 from gelform.sensors.source import open_source
 from live_waiting import until

@@ -13,7 +13,7 @@ import pytest
 import gelform
 import gelform.sensors.grabber as grabber_module
 from gelform.errors import DataError, SensorError, SourceLostError
-from gelform.image.frame import Frame
+from gelform.image.view import Frame
 from gelform.sensors import playback
 from gelform.sensors.files import is_video
 from gelform.sensors.films import is_film

@@ -36,8 +36,7 @@ from gelform.simulate import (
     slide_poses,
     text_relief,
 )
-from gelform.simulate.press import largest_ball_mm
-from gelform.simulate.twin import CalibratedLook, Twin
+from gelform.simulate.press import CalibratedLook, Twin, largest_ball_mm
 from made.sources import DRAGGED, PLAIN, SMALL, box
 
 

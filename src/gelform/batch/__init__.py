@@ -4,8 +4,7 @@ from gelform.batch.containers import FilmRef
 from gelform.batch.inputs import Listing, listing_of
 from gelform.batch.outputs.files import KEPT, BatchSettings
 from gelform.batch.records import Problem, verify_output
-from gelform.batch.run import BatchSummary, RunOptions, run_batch
-from gelform.batch.work import Engine
+from gelform.batch.run import BatchSummary, Engine, RunOptions, run_batch
 
 __all__ = [
     "KEPT",

@@ -34,12 +34,11 @@ from gelform.errors import DataError, GelformError, cannot, reason
 from gelform.foundations.checks import check_image, check_path
 from gelform.foundations.files import way_for
 from gelform.image.agreement import background_digest
-from gelform.image.frame import Frame, in_rgb
-from gelform.image.view import MAX_PIXELS, image_from_frame
+from gelform.image.view import MAX_PIXELS, Frame, image_from_frame, in_rgb
 from gelform.sensors.files import FILM_SUFFIXES, IMAGE_SUFFIXES, is_stack, read_background, read_image
 from gelform.sensors.films import open_film
+from gelform.sensors.mcap import end_missing, refuse_bag
 from gelform.sensors.pictures import image_from_values
-from gelform.sensors.recordings.mcap_reader import end_missing, refuse_bag
 
 
 @dataclass(frozen=True)

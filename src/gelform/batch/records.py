@@ -15,11 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from gelform import DataError, __version__
-from gelform.batch.outputs.array_files import INDEX
-from gelform.batch.outputs.files import FRAMES, PARTS, OutputFile, output_file
+from gelform.batch.outputs.files import FRAMES, INDEX, PARTS, OutputFile, output_file
+from gelform.errors import Progress, no_progress
 from gelform.foundations.checks import check_path
 from gelform.foundations.files import table_text, written_file
-from gelform.foundations.findings import Progress, no_progress
 
 MANIFEST, KIND, FORMAT_VERSION = "manifest.json", "gelform batch", 1
 LOCK, WAIT_S = ".gelform-batch.lock", 5.0

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from gelform.calibration.fit import calibrate
 from gelform.calibration.presses.press_set import presses_from_simulated
-from gelform.errors import CalibrationError, SensorError
+from gelform.errors import CalibrationError, Progress, SensorError, no_progress
 from gelform.exchange.plots import canvas, draw_map, pixels_of
 from gelform.foundations.checks import check_positive
-from gelform.foundations.findings import Progress, no_progress
 from gelform.reconstruct import Reconstructor
 from gelform.result.metrics import angle_deg
 from gelform.simulate import (

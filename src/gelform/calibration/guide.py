@@ -1,10 +1,10 @@
-"""Presses of a ball under guidance: what an image shows, the next place, the accepted presses, and their calibration."""
+"""Presses of a ball under guidance: what an image shows, the next place, the folder of accepted presses, the calibration."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from gelform.calibration.circles.find import (
 )
 from gelform.calibration.coverage import NEEDED, Coverage, PressPlace, press_coverage, press_next
 from gelform.calibration.fit import calibrate
+from gelform.calibration.geometry.files import edited_toml
 from gelform.calibration.library import add_calibration
 from gelform.calibration.presses.press_set import (
     Circle,
@@ -35,24 +36,116 @@ from gelform.calibration.presses.press_set import (
     check_ball_diameter,
     presses_from_settings,
 )
-from gelform.calibration.presses.taken import settings_of
 from gelform.calibration.report.content import LIMITS, level_of, report_content, report_coverage
 from gelform.calibration.report.page import report_page
 from gelform.calibration.starters import starter_for, starter_names
 from gelform.calibration_file import Calibration
-from gelform.errors import CalibrationError, GelformError
+from gelform.errors import CalibrationError, DataError, Finding, GelformError, Progress, cannot, no_progress
 from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.foundations.checks import check_sensor_pitch
-from gelform.foundations.files import written_file
-from gelform.foundations.findings import Finding, Progress, no_progress
+from gelform.foundations.files import made_folder, picture_bytes, written_file
 from gelform.image.background import USUAL_FRAMES, ChangeSettings, background_from_frames, surround_finding
-from gelform.image.frame import Frame
-from gelform.image.view import image_from_frame
+from gelform.image.view import Frame, View, image_from_frame
 from gelform.sensors.files import SensorSettings
-from gelform.sensors.profiles import check_gel_width, make_of
+from gelform.sensors.grabber import Grabber
+from gelform.sensors.profiles import check_gel_width, make_of, profile_named
 from gelform.sensors.record import named_by_time
 from gelform.sensors.simulated import SimulatedSource
 from gelform.sensors.source import Source
+
+
+class TakenPresses:
+    """Writes a press folder image by image, so that a later failure loses no image.
+
+    DataError: the folder is not empty, or cannot be written.
+    """
+
+    def __init__(self, folder: Path, settings: SensorSettings, ball_diameter_mm: float) -> None:
+        self.folder, self.ball_diameter_mm = folder, ball_diameter_mm
+        self.count = 0
+        self._rest: NDArray[np.float32] | None = None
+        self._limit: NDArray[np.float64] | None = None  # gray levels, least difference of a touched pixel
+        with cannot(f"write {folder}"):
+            if any(made_folder(folder).iterdir()):
+                raise DataError(f"Expected a new or empty folder, got {folder}. Choose another name.")
+            (folder / "images").mkdir()
+        self._write("sensor.toml", toml_of_settings(settings).encode())
+        self._write_table()
+
+    def take_background(self, images: Sequence[NDArray[np.uint8]]) -> None:
+        """Keep images (H, W, 3) uint8 RGB of the gel at rest; a DataError if they disagree, because something moved."""
+        average = background_from_frames(images)
+        self._rest = average.background
+        self._limit = np.maximum(6.0 * np.asarray(average.noise), 4.0)
+        (self.folder / "background").mkdir(exist_ok=True)
+        for k, image in enumerate(images):
+            self._write(f"background/{k:02d}.png", picture_bytes(image))
+
+    def take_press(self, image: NDArray[np.uint8]) -> str:
+        """Keep an image (H, W, 3) uint8 RGB of a press, and return its name in the folder.
+
+        DataError: nothing is pressed.
+        """
+        if self._rest is None:
+            raise DataError("Expected the background before the presses.")
+        if (np.abs(image - self._rest) > self._limit).any(axis=-1).mean() < 0.002:  # of the pixels
+            raise DataError("Nothing is pressed: the image shows the gel at rest.")
+        name = f"images/{self.count:04d}.png"
+        self._write(name, picture_bytes(image))
+        self.count += 1
+        self._write_table()
+        return name
+
+    def drop_last(self) -> str | None:
+        """Remove the last press; return its name, or None without one."""
+        if self.count == 0:
+            return None
+        self.count -= 1
+        self._write_table()
+        name = f"images/{self.count:04d}.png"
+        (self.folder / name).unlink()
+        return name
+
+    def _write_table(self) -> None:
+        rows = "".join(f"images/{k:04d}.png,{self.ball_diameter_mm:.6g}\n" for k in range(self.count))
+        self._write("presses.csv", f"image,ball_diameter_mm\n{rows}".encode())
+
+    def _write(self, name: str, content: bytes) -> None:
+        """Write a file so that it is complete, or the previous one."""
+        with written_file(self.folder / name, overwrite=True) as handle:
+            handle.write(content)
+
+
+def settings_of(
+    source: Source | Grabber,
+    frame_shape: tuple[int, int],
+    make: str | None = None,
+    mm_per_px: float | None = None,
+) -> SensorSettings:
+    """What is known of a source's sensor: the make's scale and view of frames (H, W), and the serial number.
+
+    A given scale takes the place of the make's; one of them is needed. ValueError: the make is unknown.
+    """
+    view, sigma, name = View(), None, source.name
+    if make is not None:
+        profile = profile_named(make)
+        view, name = profile.view(frame_shape), profile.name
+        if mm_per_px is None:
+            mm_per_px, sigma = profile.mm_per_px, profile.mm_per_px_sigma
+    assert mm_per_px is not None
+    return SensorSettings(name, mm_per_px, sigma, make=make or "", serial=source.serial or "", view=view)
+
+
+def toml_of_settings(settings: SensorSettings) -> str:
+    """The text of a sensor.toml with the settings."""
+    top: dict[str, Any] = {"name": settings.name, "mm_per_px": settings.mm_per_px}
+    if settings.mm_per_px_sigma is not None:
+        top["mm_per_px_sigma"] = settings.mm_per_px_sigma
+    top |= {name: text for name in ("make", "serial", "gel_id") if (text := getattr(settings, name))}
+    tables: dict[tuple[str, ...], Mapping[str, Any]] = {(): top}
+    tables |= {("view",): settings.view.to_dict(), ("camera",): settings.camera}
+    return edited_toml("", {path: table for path, table in tables.items() if table})
+
 
 SMALL = 8  # px, width of the blocks that are compared for motion
 LEAST = NEEDED.guided.presses

@@ -26,7 +26,7 @@ from gelform.calibration.presses.press_set import Circle, Press
 from gelform.calibration.selection import Candidate, Fitted, FittedSlopes, Fold, HeldOutPresses, circle_sigmas
 from gelform.calibration_file import Calibration
 from gelform.depth.sigma import squared_factor
-from gelform.foundations.findings import Progress, no_progress
+from gelform.errors import Progress, no_progress
 from gelform.image.background import PreparedBackground
 from gelform.reconstruct import FrameRecord, Reconstructor
 from gelform.result import Reconstruction

@@ -21,9 +21,8 @@ from gelform.depth.force import (
     touches_in_order,
     why_no_normal,
 )
-from gelform.errors import DataError
+from gelform.errors import DataError, Progress, no_progress
 from gelform.foundations.checks import check_path
-from gelform.foundations.findings import Progress, no_progress
 from gelform.image.view import image_from_frame
 from gelform.reconstruct import Reconstructor
 from gelform.sensors.files import background_in, read_background, read_image

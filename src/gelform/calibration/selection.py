@@ -45,8 +45,7 @@ from gelform.calibration.presses.press_set import Circle, Presses
 from gelform.calibration.start import AUTO, Start
 from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.depth.coarse import CoarseDepth
-from gelform.errors import CalibrationError, GelformError
-from gelform.foundations.findings import Progress, no_progress
+from gelform.errors import CalibrationError, GelformError, Progress, no_progress
 from gelform.image.background import noise_from_image
 from gelform.result.metrics import score_slopes
 from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel, ForwardResponse, Samples

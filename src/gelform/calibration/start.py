@@ -21,7 +21,7 @@ from gelform.errors import CalibrationError
 from gelform.image.background import ChangeSettings, gain_from_background
 from gelform.sensors.profiles import make_of
 from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ForwardResponse, Samples, StartableModel
-from gelform.slopes.color_models.least_squares import node_positions
+from gelform.slopes.color_models.seam import node_positions
 
 AUTO = "auto"
 

@@ -11,17 +11,16 @@ from typer.core import TyperCommand
 
 import gelform
 from gelform.cli.commands import calibrations, force
-from gelform.cli.commands.batch import batch, verify
 from gelform.cli.commands.calibrate import calibrate, crosstalk, lens, scale, starter
 from gelform.cli.commands.exchange import export, import_
 from gelform.cli.commands.info import info
 from gelform.cli.commands.inspection import compare, evaluate, explain
-from gelform.cli.commands.reconstruct import reconstruct
+from gelform.cli.commands.reconstruct import batch, reconstruct, verify
 from gelform.cli.commands.robots import bag, ros, track
 from gelform.cli.commands.simulate import demo, design, simulate
 from gelform.cli.commands.sources import cameras, live, record
+from gelform.cli.console import DEBUG, ReportedFailures, as_process
 from gelform.cli.options import flat
-from gelform.cli.process import DEBUG, ReportedFailures, as_process
 
 # With a busy neighbor two BLAS threads are nine times slower than one. A stream has a thread for each stage, so OpenCV needs
 # none of its own. A camera that hangs would block its reader for OpenCV's default of 10 s.

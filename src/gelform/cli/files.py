@@ -17,10 +17,8 @@ import gelform
 from gelform import sensors
 from gelform.calibration import report
 from gelform.cli import options
-from gelform.cli.console import check_pictures, json_bytes, say
-from gelform.cli.process import mistakes_in
-from gelform.errors import DataError, GelformError, cannot
-from gelform.foundations.findings import Progress
+from gelform.cli.console import check_pictures, json_bytes, mistakes_in, say
+from gelform.errors import DataError, GelformError, Progress, cannot
 
 if TYPE_CHECKING:
     from gelform.arrays import Array, Image, Map

@@ -34,9 +34,9 @@ def names_in(file: str, table: str) -> tuple[str, ...]:
 
 
 COLOR_MODELS = names_in("slopes/color_models/__init__.py", "COLOR_MODELS")
-PACKAGES = names_in("exchange/importers/calibrations.py", "PACKAGES")
+PACKAGES = names_in("exchange/importers.py", "PACKAGES")
 LAYOUTS = names_in("simulate/presets.py", "LAYOUTS")
-FORMS = names_in("exchange/exporters/moving.py", "FORMS")
+FORMS = names_in("exchange/exporters/press_folder.py", "FORMS")
 STARTERS = tuple(sorted(path.stem for path in (PACKAGE / "calibration" / "starters").glob("*.npz")))
 
 

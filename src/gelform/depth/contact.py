@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
 from gelform.arrays import Floats, Map, Mask, Numbers
+from gelform.errors import Finding
 from gelform.foundations.checks import (
     as_array,
     check_map,
@@ -23,7 +24,6 @@ from gelform.foundations.checks import (
     value_range,
 )
 from gelform.foundations.filters import LANES, MEDIAN_SAMPLES, SIGMA_OF_MEDIAN, bessel_k, blur_taps
-from gelform.foundations.findings import Finding
 from gelform.image.agreement import TOUCHED_SHARE
 from gelform.image.background import CHANGE_OFFSET
 

@@ -17,9 +17,8 @@ from gelform._native import Kernel, is_finite
 from gelform.arrays import Array, Floats, Map, Mask, Slopes
 from gelform.depth.coarse import Coarse, coarse_of
 from gelform.depth.solvers.dct import CosineFilter
-from gelform.errors import ConvergenceError
+from gelform.errors import ConvergenceError, Finding
 from gelform.foundations.filters import bessel_k, medians_where
-from gelform.foundations.findings import Finding
 
 # Parts of the image's height: the influence's length L, and the standard deviation of the window for negative depths. Depth
 # off contact is covered alike with half and twice of either, on twelve real sets.

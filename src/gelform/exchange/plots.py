@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 from gelform.arrays import Array, Image, Map
 from gelform.errors import DataError, needed
 from gelform.foundations.checks import check_image, check_is, check_mm_per_px
-from gelform.foundations.files import written_file
-from gelform.foundations.pictures import picture_bytes
+from gelform.foundations.files import picture_bytes, written_file
 from gelform.result import Reconstruction
 from gelform.result.maps import MAPS
 from gelform.result.metrics import angle_deg

@@ -19,11 +19,9 @@ from numpy.typing import ArrayLike
 
 from gelform._native import Kernel
 from gelform.arrays import Array, Map, Mask, Numbers
-from gelform.errors import CalibrationError
+from gelform.errors import CalibrationError, Finding
 from gelform.foundations.checks import check_image
 from gelform.foundations.filters import CHANGE_OFFSET
-from gelform.foundations.findings import Finding
-from gelform.image.frame import BRIGHT, DARK, pixels_digest
 from gelform.image.light import (
     ALIKE,
     LIGHT_SIGMAS,
@@ -36,6 +34,7 @@ from gelform.image.light import (
     light_from_blocks,
     without_light,
 )
+from gelform.image.view import BRIGHT, DARK, pixels_digest
 
 # Fraction of the brightness by which all but a quarter of an image differs, if it lies otherwise: 0.048 or more on six
 # sensors. Frames that lie as the background differ by up to 0.036.

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from gelform._native import Kernel
 from gelform.arrays import Array, Map, Mask, Numbers, Slopes
-from gelform.errors import DataError
+from gelform.errors import DataError, Finding
 from gelform.foundations.checks import (
     check_image,
     check_is,
@@ -31,11 +31,10 @@ from gelform.foundations.filters import (
     lattice_step,
     medians_where,
 )
-from gelform.foundations.findings import Finding
 from gelform.foundations.information import check_condition
 from gelform.image.agreement import compared, largest_touch
-from gelform.image.frame import DARK
 from gelform.image.light import FrameLight, block_means, scale_of_light, without_light
+from gelform.image.view import DARK
 
 Matrix = tuple[tuple[float, ...], ...]
 _color_change = Kernel(

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.arrays import Array, Image, Map, Mask
-from gelform.errors import CalibrationError
+from gelform.errors import CalibrationError, Finding
 from gelform.foundations.checks import value_range
-from gelform.foundations.findings import Finding
-from gelform.image.frame import DARK, as_levels
+from gelform.image.view import DARK, as_levels
 
 BLOCK_PX = 16  # px, a block of JPEG with halved color resolution; parts of a frame are lost in such blocks
 

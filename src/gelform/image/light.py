@@ -18,7 +18,7 @@ import numpy as np
 from gelform._native import Kernel
 from gelform.arrays import Array, Map, Mask, Numbers
 from gelform.foundations.filters import CHANGE_OFFSET
-from gelform.image.frame import BRIGHT, DARK
+from gelform.image.view import BRIGHT, DARK
 
 EVERY = 2  # one of so many rows and columns of blocks is used; neighbors share their errors
 # Standard deviation of a light's logarithm by degree, from the same unit's exposure, white balance and lamps, and from

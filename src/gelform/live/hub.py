@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from gelform import GelformError
 from gelform.calibration.starters import make_name, starter_names, starter_of_source
 from gelform.depth.solvers import SOLVERS
-from gelform.foundations.findings import Progress
+from gelform.errors import Progress
 from gelform.live.lists import Calibrations, Devices, Recordings
 from gelform.live.shown import Shown, Snapshots
 from gelform.live.station import Station

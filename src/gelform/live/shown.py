@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 
 from gelform import DataError, Frame, GelformError, Reconstruction, picture, save_result
 from gelform.exchange.exporters.surface import MM_PER_LEVEL, ZERO_LEVEL, save_surface
-from gelform.foundations.pictures import picture_bytes
+from gelform.foundations.files import picture_bytes
 from gelform.result.maps import MAP_PLANES
 from gelform.result.numbers import Numbers
-from gelform.sensors.recordings.player import ReplayedFrame
+from gelform.sensors.playback import ReplayedFrame
 from gelform.slopes.budget import Explanation
 from gelform.slopes.sigma import CAUSES
 

@@ -19,13 +19,12 @@ from numpy.typing import NDArray
 
 from gelform import Calibration, Frame, GelformError, Grabber, Motion, Reconstruction, Reconstructor
 from gelform.live.shown import Shown
-from gelform.motion.between import FOUND, LEAST_PX, LOST, NO_PRIOR, lost, sensor_of
-from gelform.motion.surface import moved
+from gelform.motion.between import FOUND, LEAST_PX, LOST, NO_PRIOR, lost, moved, sensor_of
 from gelform.motion.track import Follower
 from gelform.sensors.cameras import CONTROLS, Camera
 from gelform.sensors.grabber import STALL_S
+from gelform.sensors.playback import Player
 from gelform.sensors.record import KEPT_FRAMES
-from gelform.sensors.recordings.player import Player
 from gelform.sensors.source import Source
 from gelform.sensors.streams.memory import Memory, Timed, Work
 from gelform.sensors.streams.pipeline import NewestFrames, Pipeline

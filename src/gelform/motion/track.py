@@ -16,24 +16,22 @@ from gelform.foundations.checks import check_list
 from gelform.foundations.filters import fill_unknown
 from gelform.motion.between import (
     FOUND,
+    LARGEST_SIGMA,
     LEAST_PX,
     LOST,
     MOST_TURN_DEG,
+    Array,
     Motion,
+    TouchedSurface,
+    about_other_center,
     checked_place_error,
+    checked_pose,
     checked_prior,
     lost,
     motion_of,
+    moved,
     not_comparable,
     sensor_of,
-)
-from gelform.motion.surface import (
-    LARGEST_SIGMA,
-    Array,
-    TouchedSurface,
-    about_other_center,
-    checked_pose,
-    moved,
     turn_deg,
 )
 from gelform.result import Reconstruction

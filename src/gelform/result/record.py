@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.arrays import Array, Map, Mask, Slopes
 from gelform.depth.contact import Contact, contacts_from_mask
 from gelform.depth.force import Force, ForceModel, force_from_result
-from gelform.errors import DataError, GelformError
+from gelform.errors import DataError, Finding, GelformError
 from gelform.foundations.checks import (
     check_finite,
     check_is,
@@ -26,9 +26,7 @@ from gelform.foundations.checks import (
     check_number,
     check_within,
 )
-from gelform.foundations.files import damaged, read_npz, write_npz
-from gelform.foundations.findings import Finding
-from gelform.foundations.pictures import picture_bytes, shown_in_notebook
+from gelform.foundations.files import damaged, picture_bytes, read_npz, shown_in_notebook, write_npz
 from gelform.image.markers import MarkerFlow
 from gelform.result.maps import BESIDE_DEPTH, MAPS
 from gelform.result.numbers import Numbers, numbers_of

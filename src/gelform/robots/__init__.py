@@ -6,8 +6,8 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "lerobot_depth": ["depth_from_lerobot_levels", "lerobot_levels_from_depth"],
+        "ros_messages": ["TOPICS"],
         "send": ["BagFile", "SentStats", "publish", "save_bag"],
-        "topics": ["TOPICS"],
         "zenoh_node": ["ZenohNode"],
     },
 )

@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from gelform import Frame, Reconstruction
 from gelform.errors import needed
 from gelform.exchange.exporters.surface import M_PER_MM, points_from_result
-from gelform.motion.surface import about_other_center
+from gelform.motion.between import about_other_center
 from gelform.motion.track import Follower
 from gelform.robots.topics import TOPICS
-from gelform.sensors.recordings.mcap_writer import header_of, typestore
+from gelform.sensors.mcap import header_of, typestore
 
 
 class RosMessages:

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 
 from gelform import DataError, Frame, Reconstruction, Stream, open_source, stream
 from gelform.calibration_file import Calibration, as_calibration
+from gelform.errors import FrameTally, Progress, no_progress
 from gelform.foundations.checks import check_path, check_positive
 from gelform.foundations.files import locked_folder, sweep
-from gelform.foundations.findings import FrameTally, Progress, no_progress
 from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import (
     NEEDS_SCALE,

@@ -22,7 +22,7 @@ import numpy as np
 from gelform.arrays import Array
 from gelform.errors import SensorError, SourceLostError
 from gelform.foundations.checks import check_number
-from gelform.image.frame import Frame
+from gelform.image.view import Frame
 from gelform.sensors.pictures import MAX_TORN, image_from_jpeg, reduction_of
 from gelform.sensors.playback import Closing
 from gelform.sensors.profiles import SENSORS, KnownCamera

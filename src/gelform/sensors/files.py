@@ -27,8 +27,7 @@ from gelform.foundations.checks import (
 )
 from gelform.foundations.files import MAX_TEXT_BYTES, bytes_of, way_for
 from gelform.image.background import Background, background_from_frames
-from gelform.image.frame import rgb_from_bgr
-from gelform.image.view import MAX_PIXELS, View
+from gelform.image.view import MAX_PIXELS, View, rgb_from_bgr
 from gelform.sensors.pictures import (
     JPEG,
     PNG,

@@ -14,7 +14,7 @@ import numpy as np
 from gelform.errors import DataError
 from gelform.foundations.checks import check_path, check_positive
 from gelform.foundations.files import way_for
-from gelform.image.frame import Frame
+from gelform.image.view import Frame
 from gelform.sensors.files import (
     FILM_SUFFIXES,
     IMAGE_SUFFIXES,
@@ -24,8 +24,8 @@ from gelform.sensors.files import (
     is_video,
     read_image,
 )
+from gelform.sensors.mcap import Recording, is_bag_folder
 from gelform.sensors.playback import Film, RecordingFacts
-from gelform.sensors.recordings.mcap_reader import Recording, is_bag_folder
 
 
 def open_film(path: Path, *, rate_hz: float | None = None, bgr: bool = False, scan: bool = False) -> Film:

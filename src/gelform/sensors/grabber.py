@@ -13,7 +13,7 @@ from typing import Generic, TypeVar
 
 from gelform.errors import SensorError, SourceLostError
 from gelform.foundations.checks import check_within
-from gelform.image.frame import Frame
+from gelform.image.view import Frame
 from gelform.sensors.source import Source, checked_frame, open_source
 
 STALL_S = 0.5  # s without a frame until "reconnecting"; robots' recorders give up after as long

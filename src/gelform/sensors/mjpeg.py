@@ -16,7 +16,7 @@ from http.client import HTTPConnection, HTTPException, HTTPResponse, RemoteDisco
 from urllib.parse import SplitResult, unquote, urlsplit
 
 from gelform.errors import SensorError, SourceLostError
-from gelform.image.frame import Frame
+from gelform.image.view import Frame
 from gelform.sensors.pictures import MAX_TORN, image_from_jpeg, jpeg_shape, reduction_of
 from gelform.sensors.playback import Closing
 

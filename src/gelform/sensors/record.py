@@ -17,9 +17,9 @@ import numpy as np
 
 from gelform import Calibration, DataError, Frame, GelformError, Grabber, __version__, load_calibration
 from gelform.arrays import Map
-from gelform.foundations.files import check_free
-from gelform.foundations.findings import Progress, no_progress
-from gelform.foundations.pictures import picture_bytes
+from gelform.errors import Progress, no_progress
+from gelform.foundations.files import check_free, picture_bytes
+from gelform.sensors.mcap import McapRecording, PlacedMessage, is_bag_folder, mcap_file_in, mcap_records
 from gelform.sensors.playback import (
     ATTACHABLE,
     BACKGROUND,
@@ -28,8 +28,6 @@ from gelform.sensors.playback import (
     RecordingFacts,
     image_from_encoded,
 )
-from gelform.sensors.recordings.mcap_reader import PlacedMessage, is_bag_folder, mcap_file_in, mcap_records
-from gelform.sensors.recordings.mcap_writer import McapRecording
 
 MAX_ATTACHMENT_BYTES = 64 * 2**20
 KEPT_FRAMES = 32  # held by the grabber for `record_frames`: bridges half a second in which the disk stalls

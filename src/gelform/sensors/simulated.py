@@ -18,7 +18,7 @@ from gelform import simulate
 from gelform.arrays import Array, Image
 from gelform.errors import SensorError
 from gelform.foundations.checks import check_positive
-from gelform.image.frame import Frame
+from gelform.image.view import Frame
 from gelform.sensors.files import read_toml
 from gelform.sensors.playback import Closing, Pace
 from gelform.sensors.profiles import SENSORS

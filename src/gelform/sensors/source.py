@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from gelform.errors import DataError, SensorError
 from gelform.foundations.checks import check_path
-from gelform.image.frame import Frame, in_rgb
+from gelform.image.view import Frame, in_rgb
 from gelform.sensors.cameras import UsbCamera, camera_named
 from gelform.sensors.files import FILM_SUFFIXES
 from gelform.sensors.films import is_film, open_film

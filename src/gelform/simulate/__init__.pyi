@@ -23,6 +23,7 @@ from .light import simulate_background as simulate_background
 from .presets import LAYOUTS as LAYOUTS
 from .press import SimulatedPress as SimulatedPress
 from .press import SimulatedPresses as SimulatedPresses
+from .press import Twin as Twin
 from .press import press_poses as press_poses
 from .press import roll_poses as roll_poses
 from .press import simulate_ball_presses as simulate_ball_presses
@@ -37,4 +38,3 @@ from .sensor import Optics as Optics
 from .sensor import SimulatedSensor as SimulatedSensor
 from .sensor import Timing as Timing
 from .sensor import led_color as led_color
-from .twin import Twin as Twin

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gelform._native import Kernel
 from gelform.arrays import Array, Floats, Map, Mask, Numbers
 from gelform.foundations.checks import check_is
-from gelform.foundations.pictures import picture_bytes
+from gelform.foundations.files import picture_bytes
 from gelform.simulate.gel import Surface, flat_surface
 from gelform.simulate.sensor import (
     SHADING_DEGREES,

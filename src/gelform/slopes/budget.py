@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.arrays import Array, Floats, Image, Map, Mask, Numbers, Slopes
+from gelform.errors import Finding
 from gelform.foundations.checks import HIGHEST_SLOPE, check_slopes
-from gelform.foundations.findings import Finding
 from gelform.image.background import PreparedBackground, Reference
 from gelform.image.health import BELOW, BLOCK_PX, LIT
 from gelform.slopes.color_models.seam import PreparedColorModel

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gelform._native import Kernel
 from gelform.arrays import Array, Image, Mask, Numbers
 from gelform.foundations.checks import check_values, check_within
-from gelform.image.frame import DARK
+from gelform.image.view import DARK
 
 ONE_SIGMA, TWO_SIGMA = 0.6827, 0.9545  # of a normal distribution within one and two standard deviations
 MIN_IN_BIN = 50  # pixels; fewer do not determine a quantile

@@ -15,7 +15,6 @@ import gelform
 from gelform.batch import KEPT, BatchSettings, FilmRef, RunOptions, run_batch, verify_output
 from gelform.batch.inputs import Part
 from gelform.batch.outputs import files as output_files
-from gelform.batch.outputs.array_files import shard_frames, write_hdf5_index
 from gelform.batch.outputs.files import (
     FORMATS,
     FlushedLater,
@@ -26,6 +25,8 @@ from gelform.batch.outputs.files import (
     facts_of,
     maps_of,
     output_file,
+    shard_frames,
+    write_hdf5_index,
 )
 from gelform.batch.outputs.writers import WRITERS, depth_of_row
 from gelform.batch.records import COLUMNS

@@ -18,9 +18,8 @@ from gelform.calibration.geometry.files import (
     save_grid_view,
     save_scale,
 )
-from gelform.calibration.geometry.lens import GridView
 from gelform.calibration.geometry.measured import Crosstalk
-from gelform.calibration.geometry.scale import Scale
+from gelform.calibration.geometry.scale import GridView, Scale
 from gelform.errors import CalibrationError, DataError
 from gelform.image.view import Lens, View, image_from_frame
 from gelform.sensors.files import read_sensor_toml

@@ -36,14 +36,14 @@ from gelform.calibration.library import (
 from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.calibration_file import load_calibration
 from gelform.errors import CalibrationError, DataError, SensorError, StaleError
-from gelform.image.frame import Frame
+from gelform.image.view import Frame
 from gelform.reconstruct import Reconstructor
 from gelform.sensors import cameras as plugged_in
 from gelform.sensors.cameras import Camera
 from gelform.sensors.grabber import Grabber
+from gelform.sensors.mcap import McapRecording
 from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.record import attachments_of
-from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.sensors.simulated import simulated_sensor_named
 from gelform.simulate import Ball, simulate_press
 from made.small_gel import Touch, calibration, image_of, save

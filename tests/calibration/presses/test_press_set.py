@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.calibration.guide import TakenPresses, toml_of_settings
 from gelform.calibration.presses.folder import ReadOptions, kind_of_presses, read_presses
 from gelform.calibration.presses.press_set import table_rows
-from gelform.calibration.presses.taken import TakenPresses, toml_of_settings
 from gelform.errors import DataError, SensorError
 from gelform.image.view import View
 from gelform.sensors.files import SensorSettings, read_sensor_toml

@@ -22,8 +22,8 @@ from gelform.calibration.presses.video import (
     untouched,
 )
 from gelform.image.background import ChangeSettings, color_change_from_image
+from gelform.sensors.mcap import McapRecording
 from gelform.sensors.playback import RecordingFacts
-from gelform.sensors.recordings.mcap_writer import McapRecording
 from gelform.simulate import (
     Ball,
     Pose,

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gelform.cli.commands.batch import _line
-from gelform.cli.process import status_of
-from gelform.foundations.findings import FrameTally
+from gelform.cli.commands.reconstruct import _line
+from gelform.cli.console import status_of
+from gelform.errors import FrameTally
 from hostile.commands import make_work
 
 

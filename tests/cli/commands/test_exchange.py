@@ -14,8 +14,7 @@ import gelform
 from gelform.calibration.library import add_calibration, entries
 from gelform.calibration_file import load_calibration
 from gelform.cli.commands import exchange
-from gelform.exchange.exporters.surface import SURFACES
-from gelform.exchange.exporters.taxim import RENDERERS
+from gelform.exchange.exporters.surface import RENDERERS, SURFACES
 from gelform.result import load_result, save_result
 from made.small_gel import Touch, calibration, image_of, save
 

@@ -19,8 +19,8 @@ from gelform.cli.commands import info
 from gelform.cli.commands.info import lines_of, system_facts
 from gelform.sensors import cameras
 from gelform.sensors.files import read_image
+from gelform.sensors.mcap import McapRecording
 from gelform.sensors.playback import RecordingFacts
-from gelform.sensors.recordings.mcap_writer import McapRecording
 from made.sources import frames
 
 DECLARED = [

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.evaluate import evaluate
+from gelform.calibration.fit import evaluate
 from gelform.calibration.presses.folder import read_presses
 from gelform.calibration_file import load_calibration
 from gelform.cli.commands import inspection

@@ -28,8 +28,8 @@ from gelform.sensors.cameras import Camera
 from gelform.sensors.files import SensorSettings, read_image, read_sensor_toml
 from gelform.sensors.films import open_film
 from gelform.sensors.grabber import Grabber, GrabberStats
+from gelform.sensors.mcap import end_missing
 from gelform.sensors.record import RecordStats
-from gelform.sensors.recordings.mcap_reader import end_missing
 from gelform.sensors.source import open_source
 from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_press
 from live_waiting import until

@@ -17,9 +17,10 @@ import tomlkit
 import gelform
 from gelform import DataError, read_presses
 from gelform.batch.inputs import frames_of_part, listing_of, plan_of
-from gelform.exchange.exporters.moving import check_forms, save_moving_press
 from gelform.exchange.exporters.press_folder import (
     SetOfPresses,
+    check_forms,
+    save_moving_press,
     save_press_folder,
     save_simulated_press,
     save_simulated_presses,

@@ -19,15 +19,18 @@ from hypothesis.extra.numpy import arrays
 import gelform
 from gelform import CalibrationError, DataError, Reconstruction
 from gelform.exchange.exporters.surface import (
+    BINS,
+    RENDERERS,
     SURFACES,
     depth_from_levels,
     levels_from_depth,
     points_from_result,
     save_surface,
+    save_taxim,
+    taxim_table,
     x3p_bytes,
 )
-from gelform.exchange.exporters.taxim import BINS, RENDERERS, save_taxim, taxim_table
-from gelform.exchange.importers.tables import read_taxim_forward
+from gelform.exchange.importers import read_taxim_forward
 from gelform.image.background import image_from_color_change
 from gelform.result.metrics import ball_gradients
 from gelform.simulate import Ball, simulate_press
@@ -176,7 +179,7 @@ def exported(calibration, tmp_path_factory):
     """The folder by renderer; the table, which takes seconds, is made once."""
     base, table = tmp_path_factory.mktemp("taxim"), taxim_table(calibration)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gelform.exchange.exporters.taxim.taxim_table", lambda _: table)
+        patch.setattr("gelform.exchange.exporters.surface.taxim_table", lambda _: table)
         return {name: save_taxim(calibration, base / name, renderer=name) for name in RENDERERS}
 
 

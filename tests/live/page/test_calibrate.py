@@ -11,7 +11,7 @@ import pytest
 import gelform
 from gelform.calibration.guide import LEAST
 from gelform.calibration.starters import load_starter
-from gelform.live.start import start
+from gelform.live.actions import start
 from gelform.live.station import Setup
 from live_waiting import held, until
 

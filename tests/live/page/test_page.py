@@ -18,7 +18,7 @@ from gelform.errors import SourceLostError
 from gelform.exchange.plots import save_picture
 from gelform.live.station import Opening, Setup
 from gelform.sensors.films import open_film
-from gelform.sensors.recordings.player import Player
+from gelform.sensors.playback import Player
 from live_waiting import until
 
 pytestmark = pytest.mark.slow

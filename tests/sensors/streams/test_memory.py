@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from gelform import Reconstructor, depth_from_gradients
-from gelform.foundations.findings import Finding
-from gelform.image.frame import Frame
+from gelform.errors import Finding
 from gelform.image.health import DepthLimit
+from gelform.image.view import Frame
 from gelform.result import Reconstruction
 from gelform.sensors.grabber import Newest
 from gelform.sensors.streams.memory import (

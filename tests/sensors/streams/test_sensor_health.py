@@ -13,24 +13,21 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.presses.taken import TakenPresses
-from gelform.errors import SourceLostError
-from gelform.foundations.findings import Finding
+from gelform.calibration.guide import TakenPresses
+from gelform.errors import Finding, SourceLostError
 from gelform.image.light import block_means, light_at_rest, lit, without_light
 from gelform.sensors import SensorSettings
-from gelform.sensors.streams.background_drift import (
+from gelform.sensors.streams.memory import Memory
+from gelform.sensors.streams.sensor_health import (
     AFTER_S,
     MEAN_IMAGE_S,
     BackgroundDrift,
-    DriftEvidence,
-    Touched,
-)
-from gelform.sensors.streams.memory import Memory
-from gelform.sensors.streams.sensor_health import (
     CameraCheck,
+    DriftEvidence,
     Frozen,
     Marks,
     SameGel,
+    Touched,
     light_findings,
     light_from_outside,
 )

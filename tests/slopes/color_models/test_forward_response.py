@@ -13,7 +13,7 @@ from gelform.slopes.color_models.forward_response import (
     ForwardResponse,
     PreparedStep,
 )
-from gelform.slopes.color_models.least_squares import node_positions
+from gelform.slopes.color_models.seam import node_positions
 from kernel_agreement import assert_kernel_agrees
 
 pytestmark = pytest.mark.linear_algebra

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 import gelform
 from gelform.slopes.color_models import MlpModel
-from gelform.slopes.color_models.least_squares import unit_position
 from gelform.slopes.color_models.networks import BLOCK_PX, Layers, NetworkModel, PreparedNetwork, blocks_of
+from gelform.slopes.color_models.seam import unit_position
 from made.files import in_numpy, layers_of
 from made.images import SHAPE as SHAPE_MLP
 from made.images import ball_samples, shading_change

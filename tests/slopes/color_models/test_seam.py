@@ -15,14 +15,16 @@ import pytest
 from numpy.typing import NDArray
 
 from gelform.slopes.color_models import COLOR_MODELS, IMPORTED_MODELS, PolynomialModel, polynomial
-from gelform.slopes.color_models.least_squares import (
+from gelform.slopes.color_models.seam import (
     MAX_SAMPLES,
     NODE_PX,
     ORDER_GROWTH,
     PLACE_GROWTH,
+    Stored,
     Term,
     VaryingRegression,
     at_pixels,
+    check_image_shape,
     interpolation,
     light_at_nodes,
     monomial_products,
@@ -36,7 +38,6 @@ from gelform.slopes.color_models.least_squares import (
     terms_of_orders,
     unit_position,
 )
-from gelform.slopes.color_models.seam import Stored, check_image_shape
 from kernel_agreement import assert_kernel_agrees
 from made.images import SHAPE, ball_samples, lambertian_change, shading_change
 

@@ -10,12 +10,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.batch.outputs.array_files import Hdf5Files, ZarrArrays, read_hdf5, read_zarr, write_hdf5_index
-from gelform.batch.outputs.files import FlushedLater, OutputFile, PartTarget, PartWriter, maps_of, output_file
+from gelform.batch.outputs.files import (
+    FlushedLater,
+    Hdf5Files,
+    OutputFile,
+    PartTarget,
+    PartWriter,
+    ZarrArrays,
+    maps_of,
+    output_file,
+    read_hdf5,
+    read_zarr,
+    write_hdf5_index,
+)
 from gelform.batch.outputs.lerobot import LerobotVideo, read_lerobot, write_lerobot_set
 from gelform.exchange.exporters.surface import depth_from_levels
-from gelform.foundations.files import npz_bytes
-from gelform.foundations.pictures import FAST_PNG, picture_bytes
+from gelform.foundations.files import FAST_PNG, npz_bytes, picture_bytes
 from gelform.result import Reconstruction, save_result
 
 

@@ -32,9 +32,8 @@ from scipy.ndimage import gaussian_filter1d
 
 from gelform.arrays import Array, Map, Mask, Numbers
 from gelform.calibration.presses.press_set import Circle, Presses, check_room
-from gelform.errors import CalibrationError
+from gelform.errors import CalibrationError, Progress, no_progress
 from gelform.foundations.filters import CHANGE_OFFSET
-from gelform.foundations.findings import Progress, no_progress
 from gelform.image.agreement import check_background_of_frames
 from gelform.image.background import ChangeSettings, PreparedBackground
 from gelform.image.light import FrameLight

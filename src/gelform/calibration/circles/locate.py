@@ -51,19 +51,13 @@ from gelform.calibration.circles.find import (
 from gelform.calibration.coverage import FOLDS, NEEDED, REFINING, coverage_notes
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.start import Start
-from gelform.errors import CalibrationError
-from gelform.foundations.findings import Progress, no_progress
+from gelform.errors import CalibrationError, Progress, no_progress
 from gelform.image.background import surround_of
-from gelform.image.frame import DARK
 from gelform.image.health import CHANNELS
+from gelform.image.view import DARK
 from gelform.result.metrics import STEEPEST_FRACTION, ball_center, ball_gradients, center_jacobian
 from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, PLAIN_MODEL, ColorModel, StartableModel
-from gelform.slopes.color_models.least_squares import (
-    HUBER_SLOPE,
-    normal_equations,
-    polynomial_terms,
-    unit_position,
-)
+from gelform.slopes.color_models.seam import HUBER_SLOPE, normal_equations, polynomial_terms, unit_position
 from gelform.slopes.sigma import SATURATED_FROM
 
 RINGS = np.arange(0.05, 1.001, 0.05)

@@ -17,9 +17,8 @@ import tomlkit
 from numpy.typing import NDArray
 from tomlkit.exceptions import TOMLKitError
 
-from gelform.calibration.geometry.lens import GridView
 from gelform.calibration.geometry.measured import Crosstalk
-from gelform.calibration.geometry.scale import Scale
+from gelform.calibration.geometry.scale import GridView, Scale
 from gelform.calibration_file import load_calibration
 from gelform.errors import CalibrationError, DataError
 from gelform.foundations.files import written_file

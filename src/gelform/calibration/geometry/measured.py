@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.errors import DataError
 from gelform.foundations.checks import check_image, check_list
 from gelform.image.background import ChangeSettings, linear_light
-from gelform.image.frame import BRIGHT
+from gelform.image.view import BRIGHT
 
 NAMES = ("red", "green", "blue")
 MIN_LEVEL = 20.0  # gray levels that are usable for a ratio

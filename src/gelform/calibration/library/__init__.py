@@ -16,16 +16,15 @@ from platformdirs import user_cache_path, user_data_path
 
 from gelform import __version__
 from gelform.calibration_file import FORMAT_VERSION, Calibration, load_calibration
-from gelform.errors import CalibrationError, DataError, GelformError, cannot
+from gelform.errors import CalibrationError, DataError, GelformError, Progress, cannot, no_progress
 from gelform.foundations.files import DIGEST_SHOWN, made_folder, sweep
-from gelform.foundations.findings import Progress, no_progress
 from gelform.sensors.cameras import Camera, almost, camera_named, cameras_there
 from gelform.sensors.files import read_sensor_toml
 from gelform.sensors.grabber import Grabber
+from gelform.sensors.mcap import is_bag_folder, mcap_file_in, picture_topic_of
 from gelform.sensors.mjpeg import shown_address
 from gelform.sensors.profiles import PROFILES
 from gelform.sensors.record import attached_calibration
-from gelform.sensors.recordings.mcap_reader import is_bag_folder, mcap_file_in, picture_topic_of
 from gelform.sensors.simulated import serial_of_simulated, simulated_sensor_named
 from gelform.sensors.source import ADDRESSES, DEFAULT_SENSOR, simulated_sensor_of
 from gelform.simulate import SimulatedPresses, SimulatedSensor, simulate_ball_presses

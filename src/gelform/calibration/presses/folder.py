@@ -29,7 +29,7 @@ from gelform.calibration.presses.press_set import (
     table_rows,
 )
 from gelform.calibration.presses.video import presses_in_film
-from gelform.errors import DataError, said
+from gelform.errors import DataError, Progress, no_progress, said
 from gelform.foundations.checks import (
     check_is,
     check_path,
@@ -45,9 +45,7 @@ from gelform.foundations.files import (
     checked_archive,
     way_for,
 )
-from gelform.foundations.findings import Progress, no_progress
-from gelform.image.frame import Frame, rgb_from_bgr
-from gelform.image.view import View, image_from_frame, image_px_from_frame_px
+from gelform.image.view import Frame, View, image_from_frame, image_px_from_frame_px, rgb_from_bgr
 from gelform.sensors.files import (
     FILM_SUFFIXES,
     IMAGE_SUFFIXES,
@@ -61,8 +59,8 @@ from gelform.sensors.files import (
     read_sensor_toml,
 )
 from gelform.sensors.films import open_film
+from gelform.sensors.mcap import refuse_bag
 from gelform.sensors.profiles import PROFILES, profile_named
-from gelform.sensors.recordings.mcap_reader import refuse_bag
 
 __all__ = ["Press", "Presses", "as_presses", "kind_of_presses", "read_presses"]
 

@@ -19,8 +19,7 @@ from gelform.calibration.geometry.measured import Geometry
 from gelform.errors import DataError
 from gelform.foundations.checks import check_positive, check_sensor_pitch
 from gelform.foundations.files import MAX_ARRAY_BYTES, bytes_of, plain_cell
-from gelform.image.frame import pixels_digest
-from gelform.image.view import View
+from gelform.image.view import View, pixels_digest
 from gelform.sensors.files import SensorSettings
 from gelform.sensors.profiles import check_gel_width, make_of, view_from_camera
 

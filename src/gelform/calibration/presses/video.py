@@ -15,12 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.errors import DataError
+from gelform.errors import DataError, Progress
 from gelform.foundations.checks import check_is
-from gelform.foundations.findings import Progress
 from gelform.image.background import trimmed_mean
-from gelform.image.frame import Frame, in_rgb
-from gelform.image.view import View, image_from_frame
+from gelform.image.view import Frame, View, image_from_frame, in_rgb
 from gelform.sensors.films import Video
 
 MAX_THUMBS = 6000  # thumbnails that are kept: four minutes at 25 frames a second

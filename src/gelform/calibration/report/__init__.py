@@ -6,8 +6,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "content": ["report_content"],
-        "learning": ["learning_curve"],
         "page": ["report_page"],
-        "record": ["CalibrationReport", "PressReport", "summary"],
+        "record": ["CalibrationReport", "PressReport", "learning_curve", "summary"],
     },
 )

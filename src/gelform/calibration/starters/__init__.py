@@ -22,10 +22,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.calibration_file import Calibration, calibration_from_contents
-from gelform.errors import CalibrationError, SensorError
+from gelform.errors import CalibrationError, Finding, SensorError
 from gelform.foundations.checks import check_image, check_is, check_mm_per_px, check_positive
 from gelform.foundations.files import damaged, read_npz, write_npz
-from gelform.foundations.findings import Finding
 from gelform.image.agreement import READINGS
 from gelform.image.background import noise_from_image, surround_finding
 from gelform.image.markers import MarkerFollower
@@ -33,7 +32,7 @@ from gelform.image.view import View, image_from_frame
 from gelform.reconstruct import Reconstructor
 from gelform.sensors.profiles import PROFILES, SENSORS, check_gel_width, make_of, view_from_camera
 from gelform.slopes.color_models import StartableModel
-from gelform.slopes.color_models.least_squares import node_positions
+from gelform.slopes.color_models.seam import node_positions
 
 DEGREE = 3  # degree of the polynomial in x and y
 BLOCKS = 16  # blocks along the longer side; the surface is fitted to their means

@@ -14,7 +14,7 @@ from typer import Argument, BadParameter, Option
 import gelform
 from gelform import DataError
 from gelform.cli import options
-from gelform.cli.console import ShownOption, figure, say
+from gelform.cli.console import ShownOption, figure, mistakes_in, only_writer, say
 from gelform.cli.files import (
     REPORT_FILES,
     check_output,
@@ -24,7 +24,6 @@ from gelform.cli.files import (
     write_report,
 )
 from gelform.cli.options import listed, number, numbers, one_of
-from gelform.cli.process import mistakes_in, only_writer
 
 Place = Annotated[Path, Argument(metavar="PLACE", help="Press folder, or its sensor.toml, to write into.")]
 MODELS = ("auto", *options.COLOR_MODELS)

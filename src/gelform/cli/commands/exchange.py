@@ -10,10 +10,9 @@ from typer import Argument, BadParameter, Option
 import gelform
 from gelform import DataError, result
 from gelform.cli import options
-from gelform.cli.console import ShownOption, say
+from gelform.cli.console import ShownOption, mistakes_in, say
 from gelform.cli.files import check_output
 from gelform.cli.options import listed, one_of
-from gelform.cli.process import mistakes_in
 from gelform.sensors.profiles import check_gel_width
 
 RENDERERS = ("taxim", "isaaclab")  # as in exporters.taxim, which the help does not import
@@ -64,7 +63,7 @@ def import_(
         raise BadParameter(
             "needed: an image of the gel at rest; these files hold none.", param_hint="--background"
         )
-    from gelform.exchange.importers.tables import RANGE_LEVELS, is_matlab
+    from gelform.exchange.importers import RANGE_LEVELS, is_matlab
 
     check_output(output, overwrite=overwrite)
     with mistakes_in(file):
@@ -140,7 +139,7 @@ def export(
         )
     target = output or source.with_suffix(f".{to}")
     if to in RENDERERS:
-        from gelform.exchange.exporters.taxim import save_taxim
+        from gelform.exchange.exporters.surface import save_taxim
 
         written = save_taxim(source, target, renderer=to)
     else:

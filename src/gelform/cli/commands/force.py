@@ -20,9 +20,8 @@ from typer import Argument, Option
 import gelform
 from gelform import CalibrationError
 from gelform.cli import options
-from gelform.cli.console import ShownOption
+from gelform.cli.console import ShownOption, only_writer
 from gelform.cli.files import check_output
-from gelform.cli.process import only_writer
 
 if TYPE_CHECKING:
     from gelform.calibration.loads import LoadedPresses

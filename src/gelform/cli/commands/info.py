@@ -17,9 +17,8 @@ from typer import Argument, BadParameter, Option
 
 import gelform
 from gelform import DataError, GelformError, result
-from gelform.cli.console import print_json, show
+from gelform.cli.console import in_options, print_json, show
 from gelform.cli.options import Json
-from gelform.cli.process import in_options
 
 
 def system_facts() -> dict[str, Any]:
@@ -208,7 +207,7 @@ def _file(path: Path) -> dict[str, Any]:
 
 def _recording(path: Path) -> dict[str, Any]:
     """The facts of a recording; its frames are counted, but not decoded."""
-    from gelform.sensors.recordings.mcap_reader import CUT, Recording, end_missing
+    from gelform.sensors.mcap import CUT, Recording, end_missing
 
     recording = Recording(path)
     facts, times_s = recording.camera, recording.times_s
@@ -279,7 +278,7 @@ def _folder(path: Path) -> dict[str, Any]:
     """The facts of a bag or presses; for any other folder, the files that would make it a press folder."""
     from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses, rows_by_folder
     from gelform.sensors.files import IMAGE_SUFFIXES, likely_background
-    from gelform.sensors.recordings.mcap_reader import is_bag_folder
+    from gelform.sensors.mcap import is_bag_folder
 
     if is_bag_folder(path):
         return _bag(path)
@@ -307,7 +306,7 @@ def _folder(path: Path) -> dict[str, Any]:
 
 def _bag(path: Path) -> dict[str, Any]:
     """The topics with their numbers of messages; an error of the reader is listed as missing."""
-    from gelform.sensors.recordings.mcap_reader import PlacedMessage, mcap_file_in, mcap_records
+    from gelform.sensors.mcap import PlacedMessage, mcap_file_in, mcap_records
 
     facts: dict[str, Any] = {"kind": "bag of ROS 2"}
     try:

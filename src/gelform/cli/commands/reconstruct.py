@@ -1,11 +1,16 @@
-"""gelform reconstruct: images to depth in mm."""
+"""gelform reconstruct: images to depth in mm; gelform batch: a data set, resumable; gelform verify: check of its output."""
 
 from __future__ import annotations
 
+import sys
+import time
 import webbrowser
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,15 +19,15 @@ from typer import Argument, BadParameter, Option
 
 import gelform
 from gelform.cli import options
-from gelform.cli.commands.batch import Frames, batch
-from gelform.cli.console import ShownOption, check_pictures, figure, say
+from gelform.cli.console import MISTAKE, ShownOption, check_pictures, figure, one_line, say, status_of
 from gelform.cli.files import Inputs, check_results, make_folder, named, result_paths, save_by_name
-from gelform.cli.process import MISTAKE, one_line, status_of
-from gelform.errors import GelformError, reason
-from gelform.foundations.findings import FrameTally
+from gelform.cli.options import one_of, usage_errors
+from gelform.errors import FrameTally, GelformError, reason
+from gelform.result.maps import KEPT_MAPS
 
 if TYPE_CHECKING:
     from gelform.arrays import Image
+    from gelform.batch import BatchSummary
 
 FORMATS = ("npz", "png", "ply", "stl", "tiff", "x3p")  # png is a picture; as a surface it would be depth
 SHEET, TILES = "sheet.png", 24  # the contact sheet of --view, and its frames at most
@@ -204,3 +209,208 @@ def _report(rows: Sequence[dict[str, Any]], shown: ShownOption) -> None:
     shown.table("Results", {"file": "file", **columns, "curl_rms": "curl (1/px)"}, table)
     if not scaled:
         say("The scale of this calibration is unknown, so results hold depth_px, not depth_mm.", shown.silent)
+
+
+def _shard(text: str) -> tuple[int, int]:
+    number, _, count = text.partition("/")
+    if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        raise BadParameter(f"expected i/N with i from 1 to N, such as 3/16, got {text!r}.")
+    return int(number), int(count)
+
+
+@dataclass(frozen=True)
+class Frames(Inputs):
+    """Inputs of many sequences: also the places of frames and of background images."""
+
+    background: Annotated[
+        Path | None,
+        Option(
+            metavar="IMG|DIR|CSV",
+            help="Gel at rest: an image, a folder of several, or a table of sequence,background.",
+        ),
+    ] = None
+    dataset: options.Dataset = ""
+    background_frames: Annotated[
+        int, Option(metavar="N", min=0, help="Average the first N frames of each sequence as its background.")
+    ] = 0
+
+
+def batch(
+    *,
+    source: Annotated[
+        str,
+        Argument(
+            metavar="INPUT", help="Folder, video, recording, HDF5, Zarr, LeRobot, or a pattern in quotes."
+        ),
+    ],
+    given: Frames,
+    output: options.ResultFolder,
+    form: Annotated[
+        str, Option("--format", help="npz, png (16-bit depth), zarr, hdf5, lerobot (its input with depth).")
+    ] = "npz",
+    dtype: Annotated[
+        str | None, Option(help="For zarr and hdf5: float32, or uint16 (depth only, 0.1 um per step).")
+    ] = None,
+    table: Annotated[str, Option(help="parquet or csv; auto: parquet if pyarrow is installed.")] = "auto",
+    keep: Annotated[str, Option(help=f"Maps to save: {', '.join(KEPT_MAPS)}; all: whole results.")] = (
+        "depth,known"
+    ),
+    solver: options.Solver = "auto",
+    workers: Annotated[int, Option(min=1, metavar="N", help="Number of processes; for Ray, of CPUs.")] = 1,
+    engine: Annotated[str, Option(help="pool (processes on this machine) or ray.")] = "pool",
+    address: Annotated[
+        str | None, Option(metavar="ADDRESS", help="Address of a running Ray cluster, such as auto.")
+    ] = None,
+    shard: Annotated[
+        Any, Option(metavar="I/N", parser=_shard, help="Do only the I-th of N shares, for a job array.")
+    ] = "1/1",
+    max_errors: Annotated[
+        int, Option(min=0, metavar="N", help="End the run when more frames than this have errors.")
+    ] = 1000,
+    retry_errors: Annotated[
+        bool, Option("--retry-errors", help="Process again the parts that had errors.")
+    ] = False,
+    overwrite: Annotated[
+        bool, Option("--overwrite", help="Delete the earlier batch there, and start again.")
+    ] = False,
+    accept_doubtful: options.AcceptDoubtful = False,
+    shown: ShownOption,
+) -> None:
+    """Reconstruct every frame of a data set.
+
+    The same command continues an interrupted run. `gelform batch verify DIR` checks all output.
+
+    INPUT is a folder (with all folders below it), a video, a recording (MCAP or a folder), an HDF5 file, a Zarr store, a
+    LeRobot data set, or a pattern. DIR gets frames/<sequence>/<frame>.npz, a table with one row per frame, and
+    manifest.json. A frame that cannot be read or has another size gets a row with its error; the other frames are still
+    done, and the exit status is 1. The run ends with a summary of the frames' findings. If the depth of most frames is
+    doubtful, the exit status is 3.
+
+    Without -c, the serial number in a sensor.toml or in the recordings selects the newest calibration of that sensor; there
+    must be only one serial. For a sensor without a calibration, give --sensor and an image of its gel at rest. The starter
+    of its make then reads the frames.
+
+    \b
+    Examples:
+      gelform batch sessions/ -c cal.npz -o depth --workers 4
+      gelform batch "day*/*.mp4" -c cal.npz -o depth --background-frames 10 --format png
+      gelform batch demos.hdf5 --dataset "data/*/obs/gelsight" -c cal.npz -o depth --format zarr --dtype uint16
+      gelform batch press_set --dataset observation.images.gel -c cal.npz -o with_depth --format lerobot
+      gelform batch sessions/ --sensor gelsight-mini --background rest.png -o depth
+      gelform batch sessions/ -c cal.npz -o depth --shard 3/16
+    """
+    from gelform.batch import BatchSettings, Engine, RunOptions, run_batch
+    from gelform.calibration.library import NoCalibration
+
+    one_of(table, ("auto", "parquet", "csv"), "--table")
+    maps = tuple(dict.fromkeys(one.strip() for one in keep.split(",") if one.strip()))
+    with usage_errors():
+        settings = BatchSettings(
+            form, maps, solver, given.background_frames, dtype=dtype or "", bgr=given.bgr
+        )
+        machines = Engine(engine, workers, address)
+    with _progress(shown.silent) as progress:
+        work = partial(
+            run_batch,
+            source,
+            output=output,
+            settings=settings,
+            background=given.background,
+            dataset=given.dataset,
+            table=table,
+            engine=machines,
+            options=RunOptions(max_errors, retry_errors, overwrite, shard),
+            progress=progress,
+            chosen=shown.say,
+        )
+        try:
+            summary = work(calibration=given.calibration)
+        except NoCalibration as problem:
+            summary = work(calibration=given.starter("", problem, shown.silent))
+    shown.json({"output": output, **asdict(summary)})
+    _report_batch(summary, output, max_errors, shown.silent)
+    if table == "auto" and summary.complete and summary.table.endswith(".csv"):
+        shown.say("The table is CSV, because pyarrow (the extra data) is not installed.")
+    raise typer.Exit(status_of(summary.tally, accept_doubtful=accept_doubtful, quiet=shown.silent))
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[BatchSummary], None]]:
+    """Show a line on standard error: updated on a terminal, a new one every half minute in a file."""
+    on_screen = sys.stderr is not None and sys.stderr.isatty()
+    begin, last, before = time.monotonic(), 0.0, -1
+
+    def report(summary: BatchSummary) -> None:
+        nonlocal last, before
+        now = time.monotonic()
+        before = summary.parts_done - 1 if before < 0 else before
+        if quiet or now - last < (0.2 if on_screen else 30):  # s between lines, which a file keeps
+            return
+        last = now
+        line = _line(summary, now - begin, summary.parts_done - before)
+        typer.echo(f"\r{line}\x1b[K" if on_screen else line, err=True, nl=not on_screen)
+
+    yield report
+    if on_screen and last:
+        typer.echo(err=True)
+
+
+def _line(summary: BatchSummary, seconds: float, parts: int) -> str:
+    """Parts, rate, time left, errors so far."""
+    left = timedelta(seconds=round((summary.parts - summary.parts_done) * seconds / parts))
+    rate_hz = summary.frames / max(seconds, 1e-9)
+    done = f"{summary.parts_done} of {summary.parts} parts, {rate_hz:.1f} frames/s"
+    return f"{done}, {left} left, {summary.errors} with errors"
+
+
+def _report_batch(summary: BatchSummary, output: Path, max_errors: int, quiet: bool) -> None:
+    for warning in summary.warnings:
+        say(f"gelform: warning: {warning}")
+    before = f", {summary.frames_before} from earlier runs" if summary.frames_before else ""
+    say(f"{summary.frames} frames done{before}; {summary.errors} with errors.", quiet)
+    if summary.stopped:
+        say(
+            f"gelform: error: {summary.errors} frames have errors, more than --max-errors {max_errors} allows. The "
+            f"finished parts and the reasons are in {output / 'parts'}. Fix the files or allow more errors, and run again."
+        )
+    elif summary.complete:
+        sheet = output / "sheet.png"  # not written where no frame has depth
+        look = f"; look at {sheet}" if sheet.exists() else ""
+        say(f"Complete: {output / summary.table} has a row for each frame{look}.", quiet)
+        if summary.errors:
+            say(
+                "The column error gives the reasons. Fix the frames and run again with --retry-errors.", quiet
+            )
+    else:
+        say("This shard is done. The last shard writes the table.", quiet)
+
+
+def verify(
+    *,
+    output: Annotated[Path, Argument(metavar="OUTPUT", help="Folder that gelform batch wrote.")],
+    shown: ShownOption,
+) -> None:
+    """Check every output of a batch, and list problems.
+
+    Lists missing, changed and extra files. `gelform batch verify` is the same command.
+
+    The exit status is 1 if there is a problem. Frames that failed in the batch are counted, but are no problem of the
+    output.
+
+    \b
+    Examples:
+      gelform verify depth
+      gelform verify depth --json
+    """
+    from gelform.batch import verify_output
+
+    with shown.progress() as progress:
+        good, errors, problems = verify_output(output, progress)
+    shown.json({"frames": good, "errors": errors, "problems": list(map(asdict, problems))})
+    for one in problems[:20]:
+        say(f"gelform: error: {one.path}: {one.what}", shown.as_json)
+    if more := problems[20:]:
+        say(f"{len(more)} more; all with --json.", shown.as_json)
+    say(f"{good} frames are complete, {errors} have an error, {len(problems)} problems.", shown.silent)
+    if problems:
+        raise typer.Exit(MISTAKE)

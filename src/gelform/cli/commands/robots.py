@@ -16,10 +16,9 @@ from typer import Argument, Option
 import gelform
 from gelform import DataError, robots
 from gelform.cli import options
-from gelform.cli.console import ShownOption, say
+from gelform.cli.console import DOUBT, ShownOption, mistakes_in, say, status_of
 from gelform.cli.files import Inputs, check_output, save_by_name
 from gelform.cli.options import usage_errors
-from gelform.cli.process import DOUBT, mistakes_in, status_of
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, USUAL, check_sensor_name, check_topics
 
 if TYPE_CHECKING:
@@ -220,7 +219,7 @@ def _write_poses(poses: list[gelform.Tracked], path: Path, overwrite: bool) -> N
     import numpy as np
 
     from gelform.foundations.files import table_text, written_file
-    from gelform.motion.surface import step_of_pose
+    from gelform.motion.between import step_of_pose
 
     axes = ("x_mm", "y_mm", "z_mm", "turn_x_deg", "turn_y_deg", "turn_z_deg")
     sigmas = [f"sigma_{one}" for one in axes]

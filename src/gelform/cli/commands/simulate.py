@@ -15,10 +15,9 @@ import gelform
 from gelform import sensors
 from gelform import simulate as simulator
 from gelform.cli import options
-from gelform.cli.console import ShownOption, check_pictures, json_bytes, say
+from gelform.cli.console import ShownOption, check_pictures, json_bytes, mistakes_in, say
 from gelform.cli.files import check_output, content_of, write_report
 from gelform.cli.options import LAYOUTS, listed, number, one_of, usage_errors
-from gelform.cli.process import mistakes_in
 from gelform.sensors.profiles import SENSORS
 
 LAYOUT, PRESSES, SEED = "three-edges", 24, 7
@@ -103,7 +102,7 @@ def simulate(
       gelform simulate -o key --height-map key.npy --height-map-mm-per-px 0.02 --depth-mm 0.6
     """
     from gelform.exchange.exporters import SetOfPresses, save_simulated_press, save_simulated_set
-    from gelform.exchange.exporters.moving import check_forms, save_moving_press
+    from gelform.exchange.exporters.press_folder import check_forms, save_moving_press
     from gelform.foundations.files import read_npy
     from gelform.simulate.press import check_press_depth
 
@@ -152,7 +151,7 @@ def _twin_of(like: Path | None, background: Path | None, mm_per_px: float | None
     """A twin of a calibration or of Taxim's tables; None without either."""
     import numpy as np
 
-    from gelform.exchange.importers.tables import TaximLook, is_taxim_forward, read_taxim_forward
+    from gelform.exchange.importers import TaximLook, is_taxim_forward, read_taxim_forward
 
     if like is not None and like.is_file() and is_taxim_forward(like):
         if mm_per_px is None:

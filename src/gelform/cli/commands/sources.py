@@ -21,9 +21,8 @@ from typer import Argument, BadParameter, Option
 import gelform
 from gelform import CalibrationError, DataError, GelformError
 from gelform.cli import options
-from gelform.cli.console import ShownOption, print_json, say, show
+from gelform.cli.console import ShownOption, mistakes_in, print_json, say, show
 from gelform.cli.options import number, usage_errors
-from gelform.cli.process import mistakes_in
 from gelform.sensors.profiles import check_gel_width
 
 if TYPE_CHECKING:
@@ -255,7 +254,7 @@ def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: ShownOption
         raise BadParameter(
             "needed with --presses: the diameter of the ball.", param_hint="--ball-diameter-mm"
         )
-    from gelform.calibration.presses.taken import TakenPresses
+    from gelform.calibration.guide import TakenPresses
 
     with single_keys("record --presses") as key, gelform.Grabber(opened) as grabber:
         settings = _sensor_settings(grabber, wanted)
@@ -327,7 +326,7 @@ def _fresh(grabber: gelform.Grabber, count: int) -> list[Any]:
 
 def _sensor_settings(grabber: gelform.Grabber, wanted: PressesTaken) -> Any:
     """The content of sensor.toml: the known sensor's scale and view, the serial number, the camera's settings."""
-    from gelform.calibration.presses.taken import settings_of
+    from gelform.calibration.guide import settings_of
 
     sensor, mm_per_px = wanted.sensor, wanted.mm_per_px
     if sensor is None and mm_per_px is None:
@@ -411,8 +410,8 @@ def live(
     """
     if sensor is not None:
         options.one_of(sensor, options.STARTERS, "--sensor")
+    from gelform.live.actions import start
     from gelform.live.sinks import feed
-    from gelform.live.start import start
     from gelform.live.web.server import listen
 
     server = listen(host, port, token=token)

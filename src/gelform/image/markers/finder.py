@@ -30,7 +30,7 @@ from gelform._native import Kernel
 from gelform.arrays import Array, Floats, Image, Map, Mask, Numbers
 from gelform.foundations.checks import check_image
 from gelform.foundations.filters import CHANGE_OFFSET, log_levels
-from gelform.image.frame import as_levels
+from gelform.image.view import as_levels
 
 # Range of a present dot's strength over that at rest: turned away it is fainter, stretched it is stronger.
 STRENGTH = (0.3, 2.2)

@@ -24,7 +24,7 @@ from gelform.live import actions
 from gelform.live.hub import Hub, sentence_for_page
 from gelform.live.shown import ENCODINGS, PLANES, Shown, message
 from gelform.live.station import Station
-from gelform.sensors.recordings.player import Player
+from gelform.sensors.playback import Player
 
 MAX_BYTES, MAX_TEXT = 16 * 1024, 200  # bytes of a message; letters of a name
 

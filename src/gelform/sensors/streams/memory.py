@@ -14,16 +14,22 @@ import numpy as np
 
 from gelform import CalibrationError, Frame, MarkerTracker, Reconstruction, Reconstructor, contact_from_depth
 from gelform.arrays import Array, Map, Mask
+from gelform.errors import Finding
 from gelform.foundations.checks import check_within
 from gelform.foundations.filters import robust_sigma
-from gelform.foundations.findings import Finding
 from gelform.image import view
 from gelform.image.health import DepthLimit
 from gelform.image.markers import MarkerFlow
 from gelform.result import Later
 from gelform.result.maps import BESIDE_DEPTH
-from gelform.sensors.streams.background_drift import BackgroundDrift, DriftEvidence
-from gelform.sensors.streams.sensor_health import FROZEN, Examination, Frozen, light_findings
+from gelform.sensors.streams.sensor_health import (
+    FROZEN,
+    BackgroundDrift,
+    DriftEvidence,
+    Examination,
+    Frozen,
+    light_findings,
+)
 from gelform.slopes.gradients import STEEPEST_GEL, slopes_of_solution
 
 STILL, MOVING = 2.0, 4.0  # standard deviations of noise: a change is averaged below, followed above

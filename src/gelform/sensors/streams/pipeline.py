@@ -13,7 +13,7 @@ from statistics import median
 from threading import Event, Lock, Thread
 from typing import Any, Generic, Protocol, TypeVar
 
-from gelform.image.frame import Frame
+from gelform.image.view import Frame
 from gelform.sensors.grabber import Grabber, Newest
 from gelform.sensors.source import Source, checked_frame, open_source
 from gelform.sensors.streams.memory import Timed, Work

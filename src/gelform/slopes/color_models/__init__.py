@@ -9,10 +9,9 @@ No color change means no slope, in every model.
 """
 
 from gelform.slopes.color_models.forward_response import ForwardResponse
-from gelform.slopes.color_models.hierarchical import HierarchicalModel
 from gelform.slopes.color_models.networks import MlpModel, NetworkModel
 from gelform.slopes.color_models.physical import LambertianModel, NearLightModel
-from gelform.slopes.color_models.polynomial import PolynomialModel
+from gelform.slopes.color_models.polynomial import HierarchicalModel, PolynomialModel
 from gelform.slopes.color_models.seam import ColorModel, FittableColorModel, Samples, StartableModel
 from gelform.slopes.color_models.tables import InterpolationModel, LookupModel
 

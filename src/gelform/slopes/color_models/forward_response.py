@@ -23,8 +23,10 @@ from gelform._native import Kernel
 from gelform.arrays import Array, Map, Mask, Numbers, Slopes
 from gelform.foundations.checks import check_values, check_within
 from gelform.foundations.information import determined_by
-from gelform.slopes.color_models.least_squares import (
+from gelform.slopes.color_models.seam import (
     ORDER_GROWTH,
+    Samples,
+    Stored,
     Term,
     VaryingRegression,
     at_pixels,
@@ -34,7 +36,6 @@ from gelform.slopes.color_models.least_squares import (
     nodes_at_scale,
     terms_of_orders,
 )
-from gelform.slopes.color_models.seam import Samples, Stored
 
 # Units that make all terms about 1: the RMS of the normal's first two components in contacts, and a usual depth, px.
 NORMAL_UNIT, DEPTH_UNIT_PX = 0.3, 10.0

@@ -20,9 +20,15 @@ from gelform.arrays import Array, Floats, Map, Numbers, Slopes
 from gelform.errors import needed
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.image.view import pixel_positions
-from gelform.slopes.color_models.least_squares import HUBER_SLOPE, unit_position
 from gelform.slopes.color_models.physical import MAX_SLOPE
-from gelform.slopes.color_models.seam import Samples, Stored, Untuned, check_image_shape
+from gelform.slopes.color_models.seam import (
+    HUBER_SLOPE,
+    Samples,
+    Stored,
+    Untuned,
+    check_image_shape,
+    unit_position,
+)
 
 BLOCK_PX = 8192  # pixels at a time; the units of a layer stay in the processor's cache
 

@@ -28,8 +28,15 @@ from gelform.arrays import Array, Map, Numbers, Slopes
 from gelform.foundations.checks import LARGEST, check_response, check_values
 from gelform.foundations.information import check_condition
 from gelform.image.view import pixel_positions
-from gelform.slopes.color_models.least_squares import HUBER_SLOPE, robust_ridge, unit_position
-from gelform.slopes.color_models.seam import Samples, Stored, Untuned, check_image_shape
+from gelform.slopes.color_models.seam import (
+    HUBER_SLOPE,
+    Samples,
+    Stored,
+    Untuned,
+    check_image_shape,
+    robust_ridge,
+    unit_position,
+)
 
 MAX_SLOPE = 5.0  # mm/mm, largest slope of pixels in shadow
 DARKEST_RATIO = 0.02  # of the light at rest; a darker channel is in shadow, where the law does not hold

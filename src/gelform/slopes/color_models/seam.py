@@ -1,15 +1,23 @@
-"""ColorModel: the protocol of all color models, and the samples that they are fitted on."""
+"""ColorModel: the protocol of all color models, the samples of their fit, and the least squares that they share.
+
+This is ridge regression with Huber weights on polynomial terms. Their coefficients vary over the image: they are polynomials
+in the place, or lie at the nodes of a coarse grid and are bilinear between them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
+from functools import cached_property, lru_cache
+from itertools import combinations_with_replacement
 from types import NoneType
 from typing import Any, ClassVar, Protocol, TypeVar, get_args, get_origin, get_type_hints, runtime_checkable
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from gelform.arrays import Array, Map, Numbers, Slopes
+from gelform.arrays import Array, Floats, Map, Numbers, Slopes
 from gelform.image.background import PendingChange
 
 T = TypeVar("T")
@@ -185,3 +193,264 @@ def check_image_shape(shape: tuple[int, int], own: tuple[int, int], *, made: str
     """Raise a ValueError if a model is prepared for images of another size than its own."""
     if tuple(shape) != tuple(own):
         raise ValueError(f"Expected images of {own[0]}x{own[1]} px, as {made}, got {shape[0]}x{shape[1]}.")
+
+
+HUBER_SLOPE = 0.05  # mm/mm, about the usual error of a slope; samples with larger errors count less
+Normal = tuple[Numbers, Numbers]
+
+
+def monomials(channels: int, degree: int) -> list[tuple[int, ...]]:
+    """Channel indices of every monomial of degree 1 to `degree`, lower degrees first.
+
+    Each monomial of degree n is one of degree n - 1 times a last channel: (0, 0, 2) means c0 c0 c2.
+    """
+    terms: list[tuple[int, ...]] = []
+    for n in range(1, degree + 1):
+        terms += combinations_with_replacement(range(channels), n)
+    return terms
+
+
+def monomial_parents(terms: list[tuple[int, ...]]) -> NDArray[np.int32]:
+    """The parent monomial and the channel of each monomial, (terms, 2), for the kernels; -1 stands for 1."""
+    number = {term: t for t, term in enumerate(terms)}
+    return np.array([[number.get(term[:-1], -1), term[-1]] for term in terms], dtype=np.int32)
+
+
+def position_powers(degree: int) -> list[tuple[int, int]]:
+    """Exponents (i, j) of x^i y^j with i + j <= degree."""
+    return [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
+
+
+def term_count(channels: int, position_degrees: tuple[int, ...]) -> int:
+    """The number of columns of `polynomial_terms`."""
+    terms = monomials(channels, len(position_degrees))
+    return sum(len(position_powers(position_degrees[len(term) - 1])) for term in terms)
+
+
+def unit_position(x_px: Array, y_px: Array, shape: tuple[int, int]) -> tuple[Any, Any]:
+    """Positions about the image's center in units of half its larger side."""
+    height, width = shape
+    half = max(height, width) / 2
+    x = (np.asarray(x_px, dtype=np.float64) - (width - 1) / 2) / half
+    y = (np.asarray(y_px, dtype=np.float64) - (height - 1) / 2) / half
+    return x, y
+
+
+def polynomial_terms(values: Array, x: Array, y: Array, position_degrees: tuple[int, ...]) -> Numbers:
+    """Design matrix (N, terms): each monomial of degree n of the values, times the position terms of its degree.
+
+    There is no constant term: values of zero give zero.
+    """
+    channels = np.asarray(values, dtype=np.float64).T
+    place = position_terms(np.asarray(x), np.asarray(y), max(position_degrees))
+    columns = np.empty((term_count(len(channels), position_degrees), channels.shape[1]))
+    filled = 0
+    terms = monomials(len(channels), len(position_degrees))
+    for term, product in zip(terms, monomial_products(channels, terms)):
+        for power in position_powers(position_degrees[len(term) - 1]):
+            np.multiply(product, place[power], out=columns[filled])
+            filled += 1
+    return columns.T
+
+
+def monomial_products(channels: Array, terms: list[tuple[int, ...]]) -> list[Array]:
+    """Each monomial (N,) of channels (C, N), a product of its parent's with one channel."""
+    products: list[Array] = []
+    channels = np.ascontiguousarray(channels)
+    for parent, channel in monomial_parents(terms):
+        products.append(channels[channel] if parent < 0 else products[parent] * channels[channel])
+    return products
+
+
+def position_terms(x: Array, y: Array, degree: int) -> dict[tuple[int, int], Numbers]:
+    """x^i y^j by its exponents, each the product of an earlier one; powers take ten times as long."""
+    place = {(0, 0): np.ones(len(x))}
+    for i, j in position_powers(degree)[1:]:
+        place[i, j] = place[i - 1, j] * x if i else place[i, j - 1] * y
+    return place
+
+
+def robust_ridge(
+    design: Numbers, target: Numbers, weight: Numbers, *, ridge: float, huber: float, rounds: int = 3
+) -> Numbers:
+    """Coefficients (terms, outputs) of a ridge regression, reweighted by Huber's loss of the residual's length.
+
+    The ridge is relative to the size of each column, so it means the same for every term.
+    """
+    normal, right = whole = normal_equations(design, target, weight)
+    total = float(weight.sum())
+    size = np.sqrt(np.diag(normal) / total) + 1e-12
+    prior = np.diag(ridge * total * size**2)
+    coefficients = np.linalg.solve(normal + prior, right)  # definite by the ridge
+    for _ in range(rounds - 1):
+        residual = np.linalg.norm(design @ coefficients.astype(design.dtype) - target, axis=1)
+        # Only samples beyond `huber` lose weight, so the loss is subtracted from the equations of the first round.
+        beyond = np.flatnonzero(residual > huber)
+        lost = weight[beyond] * (1 - huber / residual[beyond])
+        # In the design's own order in memory: gathering across it takes ten times as long.
+        rows = design[beyond] if design.flags.c_contiguous else np.take(design.T, beyond, axis=1).T
+        less = normal_equations(rows, target[beyond], lost)
+        coefficients = np.linalg.solve(whole[0] - less[0] + prior, whole[1] - less[1])
+    return np.asarray(coefficients, dtype=np.float64)
+
+
+def normal_equations(design: Array, target: Numbers, weight: Numbers) -> Normal:
+    """Weighted sums of products: terms by terms, and terms by outputs."""
+    root = np.sqrt(weight).astype(design.dtype)[:, None]
+    weighted = design * root
+    normal = (weighted.T @ weighted).astype(np.float64)  # an array with itself takes half the work
+    return normal, weighted.T @ (root * target)
+
+
+NODE_PX = 16  # px between nodes, as in native/slopes/color_models/nodes.h
+# Growth of the ridge, per degree in place (and for the light) and per order of the term.
+PLACE_GROWTH, ORDER_GROWTH = 4.0, 3.0
+MAX_SAMPLES = 20_000  # samples of a regression; neighbors in a press are copies
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A column of a regression whose coefficient varies over the image."""
+
+    values: Array  # (N,)
+    place_degree: int  # degree of the Legendre polynomials of the place in its coefficient
+    ridge: float  # ridge of a coefficient that is the same everywhere, relative to the regression's
+    varies_with_light: bool = False  # whether the coefficient also depends on the background's logarithm
+
+
+def terms_of_orders(
+    products: Sequence[Array], orders: Sequence[int], place_degrees: Sequence[int]
+) -> list[Term]:
+    """Terms of products (N,) of a number of factors, stiffer at higher orders; `place_degrees` by order."""
+    return [
+        Term(product, place_degrees[order - 1], ORDER_GROWTH ** (order - 1), order <= 2)
+        for product, order in zip(products, orders)
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class VaryingRegression:
+    """Penalized least squares on terms whose coefficients vary over the image; one set of columns for all ridges."""
+
+    columns: Floats  # (N, columns) float32
+    target: Numbers  # (N, K) float64
+    weight: Numbers  # (N,)
+    penalties: Numbers  # (columns,), of their ridges
+    ends: NDArray[np.intp]  # the end of each term's columns
+    places: tuple[Numbers, ...]  # of each term: its functions at the nodes, (rows, columns, functions)
+
+    @classmethod
+    def of(cls, terms: Sequence[Term], target: Array, samples: Samples) -> VaryingRegression:
+        """Terms (N,) and target (N, K) of at most some 20,000 samples, because neighbors in a press are copies."""
+        step = max(1, round(len(samples.x_px) / MAX_SAMPLES))
+        light = None if samples.background is None else light_at_nodes(samples.background)
+        at = interpolation(samples.x_px[::step], samples.y_px[::step], samples.shape)
+        made: dict[Any, tuple[Numbers, Numbers, Numbers]] = {}
+        for term in terms:
+            kind = term.place_degree, term.varies_with_light
+            if kind not in made:
+                functions, growth = _places(*kind, samples.shape, light)
+                made[kind] = functions, growth, at_pixels(functions, *at)
+        kinds = [made[term.place_degree, term.varies_with_light] for term in terms]
+        ends = np.cumsum([len(growth) for _, growth, _ in kinds])
+        columns = np.empty((len(samples.x_px[::step]), ends[-1]), dtype=np.float32)
+        for term, (_, _, there), part in zip(terms, kinds, np.split(columns, ends[:-1], axis=1)):
+            np.multiply(there, np.asarray(term.values)[::step, None], out=part, casting="same_kind")
+        penalties = np.concatenate([term.ridge * growth for term, (_, growth, _) in zip(terms, kinds)])
+        own_target, weight = np.asarray(target, dtype=np.float64)[::step], samples.weight[::step]
+        return cls(columns, own_target, weight, penalties, ends, tuple(kind[0] for kind in kinds))
+
+    @cached_property
+    def _normal(self) -> Normal:
+        # In float32: they are sums of squares, and the ridge is far above their rounding.
+        return normal_equations(self.columns, self.target, self.weight)
+
+    def coefficients(self, ridge: float) -> Numbers:
+        """Coefficients (columns, K) for a ridge, which is relative to the samples' weight."""
+        normal, right = self._normal
+        prior = np.diag(ridge * float(self.weight.sum()) * self.penalties)
+        return np.asarray(np.linalg.solve(normal + prior, right), dtype=np.float64)  # definite by the ridge
+
+    def nodes(self, coefficients: Numbers) -> Numbers:
+        """The terms' coefficients at the nodes, (rows, columns, terms, K)."""
+        split = np.split(coefficients, self.ends[:-1])
+        return np.stack([place @ part for place, part in zip(self.places, split)], axis=2)
+
+    def residual(self, coefficients: Numbers) -> Numbers:
+        """Target minus the prediction of the coefficients, (N, K)."""
+        return np.asarray(self.target - self.columns @ coefficients.astype(np.float32), dtype=np.float64)
+
+
+def node_positions(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the nodes, px; the last is at the border or beyond."""
+    rows, columns = (np.arange(-(-(n - 1) // NODE_PX) + 1 + (n == 1)) * NODE_PX for n in shape)
+    return rows, columns
+
+
+def _places(
+    degree: int, with_light: bool, shape: tuple[int, int], light: Array | None
+) -> tuple[Numbers, Numbers]:
+    """The functions in a coefficient's sum at the nodes, (rows, columns, functions), and the penalty of each."""
+    positions = zip(node_positions(shape), shape)
+    unit = [2 * nodes / (n - 1) - 1 if n > 1 else 0.0 * nodes for nodes, n in positions]
+    size = np.sqrt(2 * np.arange(degree + 1) + 1)
+    along_y, along_x = (np.polynomial.legendre.legvander(u, degree) * size for u in unit)
+    powers = position_powers(degree)
+    functions = [along_y[:, None, j] * along_x[None, :, i] for i, j in powers]
+    growth = [PLACE_GROWTH ** (i + j) for i, j in powers]
+    if with_light and light is not None:
+        functions += list(light)
+        growth += [PLACE_GROWTH] * 3
+    return np.stack(functions, axis=-1), np.array(growth)
+
+
+def light_at_nodes(background: Array) -> Numbers:
+    """Logarithm of the background image at the nodes, (3, rows, columns), with mean 0 and deviation 1."""
+    pixels = np.asarray(background, dtype=np.float32)
+    return _light_of_pixels(pixels.tobytes(), pixels.shape)
+
+
+@lru_cache(maxsize=4)  # a calibration fits a hundred models on one background
+def _light_of_pixels(pixels: bytes, shape: tuple[int, ...]) -> Numbers:
+    # The logarithm of less than a gray level is noise; lamps are broad.
+    light = np.maximum(np.frombuffer(pixels, dtype=np.float32).reshape(shape), np.float32(1))
+    smooth = cv2.GaussianBlur(light, (0, 0), 8.0, borderType=cv2.BORDER_REFLECT_101)
+    logarithm = np.log(smooth.astype(np.float64))
+    logarithm -= logarithm.mean(axis=(0, 1))
+    deviation = logarithm.std(axis=(0, 1))
+    places = zip(node_positions(light.shape[:2]), light.shape)
+    rows, columns = (np.minimum(nodes, n - 1) for nodes, n in places)
+    values = logarithm[np.ix_(rows, columns)] / np.maximum(deviation, 0.01)  # even light has no information
+    return np.moveaxis(values, -1, 0)
+
+
+def interpolation(x_px: Array, y_px: Array, shape: tuple[int, int]) -> tuple[Any, ...]:
+    """The node at the upper left of each pixel, and the fraction of the way to the next node, 0-1."""
+    found: list[Any] = []
+    for position, nodes in zip((y_px, x_px), node_positions(shape)):
+        along = np.asarray(position, dtype=np.float64) / NODE_PX
+        before = np.clip(along.astype(np.intp), 0, len(nodes) - 2)
+        found += [before, along - before]
+    return tuple(found)
+
+
+def nodes_at_scale(nodes: Array, shape: tuple[int, int], wider: float) -> Numbers:
+    """Nodes (rows, columns, ...) for images (H, W) whose pixels are `wider` times as wide on the gel.
+
+    Each place is read where it lies in mm from the image's center; places outside the first image are read at its border.
+    """
+    rows, columns = (
+        np.clip((n - 1) / 2 + wider * (at - (n - 1) / 2), 0, at[-1])
+        for at, n in zip(node_positions(shape), shape)
+    )
+    y, x = (axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij"))
+    return at_pixels(nodes, *interpolation(x, y, shape)).reshape(np.shape(nodes))
+
+
+def at_pixels(nodes: Array, row: Any, v: Any, column: Any, u: Any) -> Numbers:
+    """Values (N, ...) between the nodes, bilinear."""
+    v, u = (part.reshape(-1, *[1] * (nodes.ndim - 2)) for part in (v, u))
+    above = nodes[row, column] * (1 - u) + nodes[row, column + 1] * u
+    below = nodes[row + 1, column] * (1 - u) + nodes[row + 1, column + 1] * u
+    values: Numbers = above * (1 - v) + below * v
+    return values

@@ -24,9 +24,16 @@ from numpy.typing import NDArray
 from gelform.arrays import Array, Floats, Map, Numbers, Slopes
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.image.view import pixel_positions
-from gelform.slopes.color_models.least_squares import HUBER_SLOPE, robust_ridge, unit_position
 from gelform.slopes.color_models.networks import blocks_of
-from gelform.slopes.color_models.seam import Samples, Stored, Untuned, check_image_shape
+from gelform.slopes.color_models.seam import (
+    HUBER_SLOPE,
+    Samples,
+    Stored,
+    Untuned,
+    check_image_shape,
+    robust_ridge,
+    unit_position,
+)
 from gelform.slopes.gradients import STEEPEST_GEL
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from gelform.calibration import selection as module
 from gelform.calibration.circles.locate import refine
-from gelform.calibration.report.learning import (
+from gelform.calibration.report.record import (
     _with_expectation,
     candidates_of,
     floor_and_slope,

@@ -14,8 +14,7 @@ import pytest
 import gelform
 from gelform.errors import DataError, GelformError
 from gelform.sensors.films import open_film
-from gelform.sensors.playback import RecordingFacts
-from gelform.sensors.recordings.player import Player
+from gelform.sensors.playback import Player, RecordingFacts
 from live_waiting import until
 from made.sources import recorded
 
@@ -48,7 +47,7 @@ def test_an_image_that_was_removed_meanwhile_is_said(forms, tmp_path):
 @pytest.fixture
 def many_chunks(frames, tmp_path, monkeypatch):
     """A chunk for each frame."""
-    monkeypatch.setattr("gelform.sensors.recordings.mcap_writer.FLUSH_S", 0.0)
+    monkeypatch.setattr("gelform.sensors.mcap.FLUSH_S", 0.0)
     return recorded(tmp_path / "many.mcap", frames, RecordingFacts("ring"))
 
 

@@ -11,13 +11,8 @@ import pytest
 
 from gelform.foundations.checks import HIGHEST_SLOPE
 from gelform.image.background import ChangeSettings, PreparedBackground
-from gelform.slopes.color_models import HierarchicalModel, PolynomialModel, hierarchical
-from gelform.slopes.color_models.least_squares import (
-    VaryingRegression,
-    monomial_parents,
-    monomials,
-    node_positions,
-)
+from gelform.slopes.color_models import HierarchicalModel, PolynomialModel, polynomial
+from gelform.slopes.color_models.seam import VaryingRegression, monomial_parents, monomials, node_positions
 from kernel_agreement import assert_kernel_agrees
 from made.images import SHAPE, ball_samples, lambertian_change, part_of, shading_change
 
@@ -140,7 +135,7 @@ def test_the_kernel_agrees_with_numpy(shape, degree):
     """Sizes of which the last pixel lies on the last node included."""
     arguments = kernel_arguments(shape, degree)
     assert_kernel_agrees(
-        hierarchical._hierarchical_gradients,
+        polynomial._hierarchical_gradients,
         lambda change, nodes, parents, work, out: slopes(change, nodes, degree),
         *arguments,
     )
@@ -156,7 +151,7 @@ def test_one_pass_gives_what_two_give(dtype):
     _, nodes, parents, work, out = kernel_arguments(shape, 3)
     two = pending.write(np.empty((*shape, 3), np.float32))
     assert_kernel_agrees(
-        hierarchical._hierarchical_from_image,
+        polynomial._hierarchical_from_image,
         lambda *_: (two, slopes(two, nodes, 3)),
         *pending.arguments, nodes, parents, np.empty(work.size + pending.work_size, np.float32), two.copy(), out,
     )  # fmt: skip

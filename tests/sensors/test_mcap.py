@@ -13,19 +13,20 @@ import pytest
 
 from gelform.cli import main
 from gelform.errors import DataError
-from gelform.sensors.playback import RecordingFacts
-from gelform.sensors.recordings.mcap_reader import (
+from gelform.sensors.mcap import (
     SAMPLED_RECORDS,
     Channel,
+    McapRecording,
     PictureTopic,
     PlacedMessage,
     end_missing,
     is_bag_folder,
     mcap_file_in,
     mcap_records,
+    message_from_picture,
     picture_topic_of,
 )
-from gelform.sensors.recordings.mcap_writer import McapRecording, message_from_picture
+from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.source import open_source
 from made.files import image_file, raw_message
 from made.sources import FACTS, START_NS, frames, jpeg, recorded, small_disk
@@ -118,7 +119,7 @@ FIRST_CHUNK_END = 14000  # bytes: a frame of noise takes 9.3 kB
 
 @pytest.fixture
 def chunk_per_frame(monkeypatch):
-    monkeypatch.setattr("gelform.sensors.recordings.mcap_writer.FLUSH_S", 0.0)
+    monkeypatch.setattr("gelform.sensors.mcap.FLUSH_S", 0.0)
 
 
 @pytest.mark.usefixtures("chunk_per_frame")
@@ -222,7 +223,7 @@ import sys, time
 from dataclasses import replace
 from pathlib import Path
 from gelform.sensors.playback import RecordingFacts
-from gelform.sensors.recordings.mcap_writer import McapRecording
+from gelform.sensors.mcap import McapRecording
 from made.sources import frames
 recording, index = McapRecording(Path(sys.argv[1]), RecordingFacts("camera")), 0
 while True:

@@ -1,1 +1,0 @@
-"""Recordings of a camera without change, as MCAP files (extra `mcap`), and playing a film."""
