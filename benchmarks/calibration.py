@@ -120,16 +120,17 @@ class Bench:
 
 
 def picture(figures: dict[str, dict[str, dict[str, float]]]) -> None:
-    """Normal error by the number of calibrating presses, a line per model."""
+    """Normal error by the number of calibrating presses, a line per model; models of a kind share the dashes."""
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(6.4, 4), layout="constrained")
-    for name in (name for name in MODELS if name not in SLOW):
+    figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
+    for k, name in enumerate(name for name in MODELS if name not in SLOW):
         values = [figures[f"{count} presses"][name]["normal_free_deg"] for count in COUNTS]
-        axes.plot(COUNTS, values, "o-", label=name, markersize=4)
+        dashes = {"polynomial": "--", "hierarchical": "-"}.get(name.split()[0], ":")
+        axes.plot(COUNTS, values, f"o{dashes}", color=f"C{k % 10}", label=name, markersize=4)
     axes.set(xlabel="presses that calibrate", ylabel="normal error of the others, degrees", ylim=(0, 14))
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, loc="upper right", ncols=2)
+    axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
     figure.savefig(RESULTS / "calibration.png", dpi=100)
 
 
