@@ -33,7 +33,7 @@ import scipy  # its parts load at first use
 from gelform._native import Handle, Kernel
 from gelform.arrays import Array, Mask, Numbers
 from gelform.errors import ConvergenceError
-from gelform.foundations.checks import check_positive
+from gelform.foundations.checks import check_positive, check_within
 from gelform.simulate.indenters import Ball, Indenter, Pose
 
 
@@ -54,8 +54,7 @@ class Gel:
 
     def __post_init__(self) -> None:
         check_positive(self.thickness_mm, "thickness_mm")
-        if not 0 <= self.bulge <= 0.95:
-            raise ValueError(f"Expected bulge in 0-0.95, got {self.bulge}.")
+        check_within(self.bulge, "bulge", 0, 0.95)
         if not 0 <= self.friction < np.inf:
             raise ValueError(f"Expected friction >= 0, got {self.friction}.")
 

@@ -260,18 +260,17 @@ def _undistorted(sensor: SimulatedSensor) -> Maps:
     return at_x.astype(np.float32), at_y.astype(np.float32)
 
 
-def levels_from_irradiance(sensor: SimulatedSensor, irradiance: Array, *, maps: Maps | None = None) -> Array:
+def levels_from_irradiance(sensor: SimulatedSensor, light: Array, *, maps: Maps | None = None) -> Array:
     """Noise-free, unquantized, linear gray levels (H, W, 3) of the light (H, W, 3) from the gel.
 
     The dtype stays. `maps` has the position in the light that each pixel sees (see `maps_from_depth`); None: its
     own.
     """
-    light = irradiance
     if maps is not None:
         light = cv2.remap(light, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
     if sensor.blur_px > 0:
         light = cv2.GaussianBlur(light, (0, 0), sensor.blur_px, borderType=cv2.BORDER_REFLECT_101)
-    gain, mixing, ambient = _gain_and_mixing(sensor, irradiance.dtype.name)
+    gain, mixing, ambient = _gain_and_mixing(sensor, light.dtype.name)
     levels = cv2.transform(cv2.multiply(light, gain), mixing)
     levels += ambient
     return np.asarray(levels)

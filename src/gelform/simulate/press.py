@@ -117,9 +117,7 @@ def simulate_press(
     """
     check_positive(depth_mm, "depth_mm")
     pose = Pose(depth_mm, center_mm, spin_deg, tilt_deg)
-    press = simulate_pose(
-        sensor, indenter, pose, rng=rng, oversample=oversample, quantise=quantise, drag=Drag(sensor.gel)
-    )
+    press = simulate_pose(sensor, indenter, pose, rng=rng, oversample=oversample, quantise=quantise)
     if not press.contact.any():
         height, width = (n * sensor.mm_per_px for n in sensor.shape)
         raise ValueError(

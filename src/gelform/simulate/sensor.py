@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gelform.arrays import Array, Map, Numbers, Slopes
-from gelform.foundations.checks import check_map, check_mm_per_px, check_positive
+from gelform.foundations.checks import (
+    check_map,
+    check_mm_per_px,
+    check_numbers,
+    check_positive,
+    check_within,
+)
 from gelform.simulate.gel import Gel
 
 Grid = tuple[int, int]
@@ -211,7 +217,8 @@ class Led:
     size_mm: float = 1.0
 
     def __post_init__(self) -> None:
-        position, color = _triple(self.position_mm, "position_mm"), _triple(self.color, "color")
+        position = check_numbers(self.position_mm, "position_mm", 3)
+        color = check_numbers(self.color, "color", 3)
         if position[2] <= 0:
             raise ValueError(
                 f"Expected an LED on the camera's side of the gel (z > 0 mm), got position_mm={self.position_mm}. "
@@ -219,7 +226,7 @@ class Led:
             )
         if min(color) < 0 or max(color) == 0:
             raise ValueError(f"Expected color >= 0 and not all 0, got {self.color}.")
-        if np.all(_triple(self.aim_mm, "aim_mm") == position):
+        if check_numbers(self.aim_mm, "aim_mm", 3) == position:
             raise ValueError(f"Expected aim_mm away from the LED itself, got {self.aim_mm}.")
         if int(self.beam_power) != self.beam_power or not 0 <= self.beam_power <= 64:
             raise ValueError(f"Expected beam_power as a whole number in 0-64, got {self.beam_power}.")
@@ -267,13 +274,6 @@ def led_color(peak_nm: float, width_nm: float = 25.0) -> tuple[float, float, flo
     return float(red), float(green), float(blue)
 
 
-def _triple(values: Any, name: str) -> Numbers:
-    array = np.asarray(values, dtype=np.float64)
-    if array.shape != (3,) or not np.all(np.isfinite(array)):
-        raise ValueError(f"Expected {name} as three finite numbers, got {values}.")
-    return array
-
-
 @dataclass(frozen=True)
 class Optics:
     """A camera over the middle of the gel.
@@ -299,15 +299,12 @@ class Optics:
     def __post_init__(self) -> None:
         if self.height_mm is not None and not 1 <= self.height_mm < np.inf:
             raise ValueError(f"Expected height_mm >= 1 or None (orthographic), got {self.height_mm}.")
-        if np.shape(self.distortion) != (2,) or not np.all(np.isfinite(self.distortion)):
-            raise ValueError(f"Expected distortion as (k1, k2), got {self.distortion}.")
+        k1, k2 = check_numbers(self.distortion, "distortion (k1, k2)", 2)
         r = np.linspace(0, 1.2, 200)
-        if np.any(np.diff(r * (1 + self.distortion[0] * r**2 + self.distortion[1] * r**4)) <= 0):
+        if np.any(np.diff(r * (1 + k1 * r**2 + k2 * r**4)) <= 0):
             raise ValueError(f"Expected distortion that does not fold the image over, got {self.distortion}.")
-        if not 0.2 <= self.response_gamma <= 5:
-            raise ValueError(f"Expected response_gamma in 0.2-5, got {self.response_gamma}.")
-        if not 0 < self.exposure < np.inf:
-            raise ValueError(f"Expected exposure > 0, got {self.exposure}.")
+        check_within(self.response_gamma, "response_gamma", 0.2, 5)
+        check_positive(self.exposure, "exposure")
         if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
             raise ValueError(f"Expected jpeg_quality in 1-100 or None, got {self.jpeg_quality}.")
 
