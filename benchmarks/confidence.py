@@ -134,9 +134,9 @@ def _sphere_um(depth: np.ndarray, circle: Any, one: Any, mm_per_px: float) -> tu
     y, x = np.mgrid[: depth.shape[0], : depth.shape[1]]
     away = np.hypot(x - circle[0], y - circle[1])
     inside = away < circle[2] - 4
-    sphere = fit_sphere(depth, inside, mm_per_px=mm_per_px, radius_mm=one.ball_diameter_mm / 2)
+    center_mm, radius_mm = fit_sphere(depth, inside, mm_per_px=mm_per_px, radius_mm=one.ball_diameter_mm / 2)
     places = np.stack([x[inside] * mm_per_px, y[inside] * mm_per_px, depth[inside]], axis=-1)
-    apart = np.linalg.norm(places - sphere.center_mm, axis=-1) - sphere.radius_mm
+    apart = np.linalg.norm(places - center_mm, axis=-1) - radius_mm
     return 1e3 * float(np.sqrt(np.mean(apart**2))), 1e3 * float(
         np.sqrt(np.mean(depth[away > 2.5 * circle[2]] ** 2))
     )

@@ -27,7 +27,7 @@ from gelform import DataError, Frame, GelformError, Reconstruction, picture, sav
 from gelform.exchange.exporters.surface import MM_PER_LEVEL, ZERO_LEVEL, save_surface
 from gelform.foundations.files import picture_bytes
 from gelform.result.maps import MAP_PLANES
-from gelform.result.numbers import Numbers
+from gelform.result.record import Numbers
 from gelform.sensors.playback import ReplayedFrame
 from gelform.slopes.budget import Explanation
 from gelform.slopes.sigma import CAUSES

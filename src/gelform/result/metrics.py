@@ -115,18 +115,13 @@ def center_jacobian(ball: Numbers, radius_px: float | Numbers) -> Numbers:
     return jacobian
 
 
-@dataclass(frozen=True)
-class SphereFit:
-    """A sphere fitted to a depth map: center (x, y, z) and radius, mm."""
-
-    center_mm: tuple[float, float, float]
-    radius_mm: float
-
-
 def fit_sphere(
     depth_mm: ArrayLike, region: Mask, *, mm_per_px: float | Sequence[float], radius_mm: float
-) -> SphereFit:
-    """Sphere through a region of a depth map, by soft-l1 (20 um) least squares that starts from `radius_mm`."""
+) -> tuple[Numbers, float]:
+    """Center (3,) and radius, mm, of the sphere through a region of a depth map.
+
+    By soft-l1 (20 um) least squares that starts from `radius_mm`.
+    """
     hx, hy = check_mm_per_px(mm_per_px)
     rows, cols = np.nonzero(region)
     if rows.size < 10:
@@ -138,8 +133,8 @@ def fit_sphere(
         return np.sqrt((x - t[0]) ** 2 + (y - t[1]) ** 2 + (z - t[2]) ** 2) - t[3]
 
     start = [x.mean(), y.mean(), z.max() - radius_mm, radius_mm]
-    fit = scipy.optimize.least_squares(distances, start, loss="soft_l1", f_scale=0.02)
-    return SphereFit((fit.x[0], fit.x[1], fit.x[2]), float(abs(fit.x[3])))
+    *center, radius = scipy.optimize.least_squares(distances, start, loss="soft_l1", f_scale=0.02).x
+    return np.array(center), float(abs(radius))
 
 
 def angle_deg(gradients: ArrayLike, reference: ArrayLike) -> Numbers:
@@ -286,7 +281,7 @@ def press_fit(
         ball = mm_per_px * np.sqrt(np.maximum(ball_px**2 - square, 0))
         return float(1e3 * np.std(depth_mm[region] - ball))
 
-    sphere = fit_sphere(depth_mm, inside, mm_per_px=mm_per_px, radius_mm=ball_radius_mm)
+    _, fitted_mm = fit_sphere(depth_mm, inside, mm_per_px=mm_per_px, radius_mm=ball_radius_mm)
     far = rho > 2.5 * contact
     off = 1e3 * np.sqrt(np.mean(np.square(depth_mm[far], dtype=np.float64))) if far.any() else np.nan
     errors = PressErrors(
@@ -295,7 +290,7 @@ def press_fit(
         normal_rim_deg=normal(free[0], from_free[0] < visible),
         cap_um=cap((cx, cy), inside),
         cap_free_um=cap(free[1], inside_free[1]),
-        radius_percent=100 * (sphere.radius_mm - ball_radius_mm) / ball_radius_mm,
+        radius_percent=100 * (fitted_mm - ball_radius_mm) / ball_radius_mm,
         off_contact_um=float(off),
     )
     return PressFit(errors, visible, *free)

@@ -1,4 +1,4 @@
-"""Reconstruction: the result of one frame, and its file."""
+"""Reconstruction: the result of one frame, its numbers, and its file."""
 
 from __future__ import annotations
 
@@ -29,10 +29,28 @@ from gelform.foundations.checks import (
 from gelform.foundations.files import damaged, picture_bytes, read_npz, shown_in_notebook, write_npz
 from gelform.image.markers import MarkerFlow
 from gelform.result.maps import BESIDE_DEPTH, MAPS
-from gelform.result.numbers import Numbers, numbers_of
 from gelform.slopes.normals import normals_from_gradients
 
 THUMBNAIL_PX = 240  # the picture's width in a notebook
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Numbers of one result: lengths in mm, or in widths of a pixel without a scale. Depth is that of known pixels."""
+
+    peak: float  # largest depth
+    lowest: float
+    x_px: int  # place of the largest depth
+    y_px: int
+    area: float  # of all contacts
+    volume: float  # of the gel displaced in them
+    contacts: int
+    contact_px: int
+
+    @property
+    def over_time(self) -> dict[str, float]:
+        """The numbers that are plotted over time."""
+        return {"peak": self.peak, "area": self.area, "volume": self.volume}
 
 
 class Later:
@@ -159,7 +177,16 @@ class Reconstruction:
     @cached_property
     def numbers(self) -> Numbers | None:
         """The deepest point, and the area and volume of all contacts; None if depth is known in no pixel."""
-        return numbers_of(self)
+        known, depth, found = self.known, self.depth, self.contacts
+        if not known.any():
+            return None
+        y, x = divmod(int(np.where(known, depth, -np.inf).argmax()), depth.shape[1])
+        touched = int(np.count_nonzero(self.contact))
+        area, volume = float(touched), float(depth[self.contact].sum(dtype=np.float64))
+        if self.mm_per_px is not None:
+            area = float(sum(one.area_mm2 or 0.0 for one in found))
+            volume = float(sum(one.volume_mm3 or 0.0 for one in found))
+        return Numbers(float(depth[y, x]), float(depth[known].min()), x, y, area, volume, len(found), touched)
 
     @property
     def contact_labels(self) -> NDArray[np.uint16]:
