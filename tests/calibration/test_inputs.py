@@ -145,7 +145,7 @@ def test_a_starter_helps_five_presses_of_another_unit(data, monkeypatch):
     ball = halved(ball.subset(range(0, len(ball.presses), 5)))
     own = gelform.calibrate(ball, start=None)
     made = starter_from_calibration(own, "gelsight-mini", spread=0.06, units=("mini-ball",))
-    monkeypatch.setattr("gelform.calibration.start.starter_for", lambda *sensor: made)
+    monkeypatch.setattr("gelform.calibration.start.starter_of_make", lambda make: made)
     alone, begun = (gelform.calibrate(five, start=start) for start in (None, "auto"))
     assert alone.settings.start is None
     assert begun.settings.start is not None
@@ -156,14 +156,14 @@ def test_a_starter_helps_five_presses_of_another_unit(data, monkeypatch):
 
 def test_a_starter_is_not_offered_to_the_presses_that_it_was_made_from(data):
     ball, other = (gelform.read_presses(data / name) for name in ("mini-ball", "mini-d"))
-    make = starter_start(ball, "auto")
+    make, _ = starter_start(ball, "auto")
     assert make is not None, "its ball can be checked by it all the same"
     assert not make.offered
-    assert starter_start(other, "auto").offered, "that unit says how far units differ, and is in no model"
-    assert not starter_start(other, "lookup").offered
-    assert starter_start(gelform.read_presses(data / "gelslim"), "auto") is None
+    assert starter_start(other, "auto")[0].offered, "that unit says how far units differ, and is in no model"
+    assert not starter_start(other, "lookup")[0].offered
+    assert starter_start(gelform.read_presses(data / "gelslim"), "auto")[0] is None
     renamed = replace(gelform.read_presses(data / "gelsight-ball-deep"), sensor_name="DIGIT")
-    assert starter_start(renamed, "auto") is None, "a name alone does not make it that sensor"
+    assert starter_start(renamed, "auto")[0] is None, "a name alone does not make it that sensor"
 
 
 def test_where_no_press_fits_the_error_says_what_they_look_like(presses, calibration):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.start import start_from, starter_note, starter_start, translated
+from gelform.calibration.start import start_from, starter_start, translated
 from gelform.calibration.starters import load_starter
 from gelform.errors import CalibrationError
 from gelform.image.background import gain_from_background
@@ -97,18 +97,21 @@ def test_a_start_without_a_forward_response_or_of_another_size_is_refused(lamber
 def test_the_make_brings_the_starter_whatever_the_sensor_is_called(presses):
     light = load_starter("gelsight-mini").calibration.background
     mine = replace(presses, background=light, mm_per_px=0.0634, sensor_name="my Mini")
-    assert starter_start(mine, "auto") is None
-    assert "GelSight Mini" in starter_start(replace(mine, make="gelsight-mini"), "auto").by
-    assert starter_start(replace(mine, make="digit"), "auto") is None
-    mini = replace(mine, make="gelsight-mini")
-    assert starter_note(mine, "auto") == starter_note(mini, "auto") == ()
-    assert starter_note(replace(mine, make="simulated-three-edges"), "auto") == (), "no make that one has"
-    (other,) = starter_note(replace(mine, make="digit"), "auto")
-    assert (
-        "The starter of a DIGIT was not tried, because it is for images of 320x240 px, and these are 240x320"
-        in other
+    mini, nothing = replace(mine, make="gelsight-mini"), (None, ())
+    assert starter_start(mine, "auto") == nothing
+    assert starter_start(replace(mine, make="simulated-three-edges"), "auto") == nothing, (
+        "no make that one has"
     )
-    (lookup,) = starter_note(mini, "lookup")
-    assert "it is of the color model hierarchical, and lookup was asked for." in lookup
-    (strange,) = starter_note(replace(mini, background=mini.background[..., ::-1].copy()), "auto")
-    assert strange.startswith("The starter of a GelSight Mini was not tried, because ")
+    start, note = starter_start(mini, "auto")
+    assert ("GelSight Mini" in start.by, start.offered, note) == (True, True, ())
+    start, (note,) = starter_start(mini, "lookup")
+    assert not start.offered
+    assert "it is of the color model hierarchical, and lookup was asked for." in note
+    small, strange = replace(mine, make="digit"), replace(mini, background=mini.background[..., ::-1].copy())
+    for other, said in (
+        (small, "a DIGIT was not tried, because it is for images of 320x240 px, and these are 240x320 px."),
+        (strange, "a GelSight Mini was not tried, because The background is BGR"),
+    ):
+        start, (note,) = starter_start(other, "auto")
+        assert start is None
+        assert note.startswith(f"The starter of {said}")

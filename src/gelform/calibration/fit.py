@@ -23,7 +23,7 @@ from gelform.calibration.presses.press_set import Press
 from gelform.calibration.report.content import errors_where
 from gelform.calibration.report.record import report_of_run, summary
 from gelform.calibration.selection import candidates_for, fit, make_folds
-from gelform.calibration.start import AUTO, start_from, starter_note, starter_start
+from gelform.calibration.start import AUTO, start_from, starter_start
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import DataError, Progress, no_progress
 from gelform.motion.between import motion_between, moved
@@ -72,9 +72,9 @@ def calibrate(
     check_inputs(presses)
     untried: tuple[str, ...] = ()
     if start is None or start == AUTO:
-        known = starter_start(presses, color_model)
+        known, untried = starter_start(presses, color_model)
         first_unit = known if start == AUTO and known is not None and known.offered else None
-        untried = starter_note(presses, color_model) if start == AUTO else ()
+        untried = untried if start == AUTO else ()
     else:
         first_unit = known = start_from(start, presses, color_model)
 

@@ -9,11 +9,9 @@ import numpy as np
 
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.starters import (
-    Starter,
     check_light,
     light_from_background,
     make_name,
-    starter_for,
     starter_of_make,
 )
 from gelform.calibration_file import Calibration, as_calibration
@@ -44,52 +42,35 @@ class Start:
         return f"{self.by[0].upper()}{self.by[1:]}"
 
 
-def starter_start(presses: Presses, color_model: str) -> Start | None:
-    """The starter of the sensor's make; None if there is none, or its light differs.
+def starter_start(presses: Presses, color_model: str) -> tuple[Start | None, tuple[str, ...]]:
+    """The starter of the sensor's make, and a note why a fit is not offered it; None if its light or its images differ.
 
-    It is offered to fits of the default color model, except for the presses that it was made from.
+    It is offered to fits of the default color model, except for the presses that it was made from. A make without a starter
+    needs no note.
     """
-    starter = starter_for(presses.make, presses.image_shape)
-    if starter is None or _why_other_light(starter, presses):
-        return None  # a make that is named wrongly does not make it that sensor; a start given by name raises the error
-    light, _ = light_from_background(presses.background)
-    model, forward = starter.models_for(light, presses.mm_per_px)
-    offered = not _why_not_offered(starter, presses, color_model)
-    by = f"the starter of a {starter.make}"
-    return Start(model, forward, starter.calibration.digest, starter.spread, by, offered)
-
-
-def starter_note(presses: Presses, color_model: str) -> tuple[str, ...]:
-    """A note why the starter of a known make was not tried; () if it was, or if the make has none."""
     starter = starter_of_make(presses.make)
     if starter is None:
-        return ()
-    shape = starter.calibration.image_shape
+        return None, ()
+    start: Start | None = None
+    why, shape = "", starter.calibration.image_shape
+    if color_model not in (AUTO, DEFAULT_MODEL):
+        why = f"it is of the color model {DEFAULT_MODEL}, and {color_model} was asked for"
+    elif {press.digest for press in presses.presses} & set(starter.calibration.training_digests):
+        why = "it was made from these presses"
     if shape != presses.image_shape:
         (high, wide), (own_high, own_wide) = shape, presses.image_shape
         why = f"it is for images of {high}x{wide} px, and these are {own_high}x{own_wide} px"
     else:
-        why = _why_not_offered(starter, presses, color_model) or _why_other_light(starter, presses)
-    return (f"The starter of a {starter.make} was not tried, because {why.rstrip('.')}.",) if why else ()
-
-
-def _why_not_offered(starter: Starter, presses: Presses, color_model: str) -> str:
-    """The reason that a starter is not offered to a fit of presses of its sensor; "" if it is."""
-    if color_model not in (AUTO, DEFAULT_MODEL):
-        return f"it is of the color model {DEFAULT_MODEL}, and {color_model} was asked for"
-    seen = set(starter.calibration.training_digests)
-    return (
-        "" if seen.isdisjoint(press.digest for press in presses.presses) else "it was made from these presses"
-    )
-
-
-def _why_other_light(starter: Starter, presses: Presses) -> str:
-    """The reason that presses are not of a starter's light; "" if they are."""
-    try:
-        check_light(presses.background, starter.light, starter.make)
-    except CalibrationError as problem:
-        return str(problem)
-    return ""
+        try:
+            check_light(presses.background, starter.light, starter.make)
+        except CalibrationError as problem:  # a make that is named wrongly does not make it that sensor
+            why = why or str(problem).rstrip(".")
+        else:
+            light, _ = light_from_background(presses.background)
+            model, forward = starter.models_for(light, presses.mm_per_px)
+            by = f"the starter of a {starter.make}"
+            start = Start(model, forward, starter.calibration.digest, starter.spread, by, offered=not why)
+    return start, (f"The starter of a {starter.make} was not tried, because {why}.",) if why else ()
 
 
 def start_from(start: Calibration | str | PathLike[str], presses: Presses, color_model: str) -> Start:
