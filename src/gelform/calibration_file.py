@@ -10,8 +10,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from gelform.arrays import Array, Map, Numbers
 from gelform.depth.force import ForceModel
 from gelform.errors import CalibrationError, Finding
 from gelform.foundations.checks import (
@@ -119,8 +119,8 @@ class Calibration:
     image_shape: tuple[int, int]
     mm_per_px: float | None
     mm_per_px_sigma: float | None
-    background: NDArray[np.float32]
-    background_noise: NDArray[np.float64]
+    background: Map
+    background_noise: Numbers
     change: ChangeSettings
     color_model: ColorModel
     forward: ForwardResponse | None
@@ -226,7 +226,7 @@ class Calibration:
         """SHA-256 of the background's pixels; shows whether a background is the calibration's own."""
         return background_digest(self.background)
 
-    def color_from_gradients(self, gradients: NDArray[Any]) -> NDArray[np.float32]:
+    def color_from_gradients(self, gradients: Array) -> Map:
         """Forward response: the expected color change (H, W, 3) of gradients (H, W, 2), for gel at depth 0.
 
         Raises
@@ -263,13 +263,13 @@ class Calibration:
         """Settings and figures without the arrays, as values that JSON can hold."""
         return {**self.contents()[1], "digest": self.digest}
 
-    def contents(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def contents(self) -> tuple[dict[str, Array], dict[str, Any]]:
         """Arrays and settings, in the form of a file."""
         model_arrays, model_settings = self.color_model.to_arrays()
         forward_arrays, forward_settings = ({}, None) if self.forward is None else self.forward.to_arrays()
         if forward_settings is not None:
             del forward_settings["shape"]  # image_shape
-        arrays: dict[str, NDArray[Any]] = {
+        arrays: dict[str, Array] = {
             "background": self.background,
             "background_noise": self.background_noise,
             **{f"forward_{name}": array for name, array in forward_arrays.items()},
@@ -312,7 +312,7 @@ def is_calibration(path: str | PathLike[str]) -> bool:
     return kind_of_npz(path) == KIND
 
 
-def _check_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> None:
+def _check_contents(arrays: dict[str, Array], meta: dict[str, Any]) -> None:
     """Refuse settings and arrays of the wrong kind; models and records check their own."""
     for names, kinds in _KINDS:
         for name in names:
@@ -360,13 +360,13 @@ def as_calibration(calibration: Calibration | str | PathLike[str]) -> Calibratio
     return calibration
 
 
-def calibration_from_contents(arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Calibration:
+def calibration_from_contents(arrays: dict[str, Array], meta: dict[str, Any]) -> Calibration:
     """Make a calibration from `Calibration.contents`.
 
     KeyError, TypeError or ValueError: the contents do not fit together.
     """
 
-    def parts(prefix: str) -> dict[str, NDArray[Any]]:
+    def parts(prefix: str) -> dict[str, Array]:
         return {name.removeprefix(prefix): one for name, one in arrays.items() if name.startswith(prefix)}
 
     _check_contents(arrays, meta)

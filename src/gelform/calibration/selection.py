@@ -564,7 +564,10 @@ def relaxation_from_presses(
         slopes = prepared.gradients_from_color(np.ascontiguousarray(press.color_change))[0]
         r, slope, pixels = slopes_around(slopes, contact, press.usable, mm_per_px)
         if r.size:
-            errors += [_misfit(r, slope, pixels, length) for length in lengths_mm]
+            for k, length in enumerate(lengths_mm):  # what the best -A K1(r/L) with A >= 0 leaves
+                shape = scipy.special.k1e(r / length) * np.exp((r[0] - r) / length)
+                size = max(-float(pixels @ (slope * shape)) / float(pixels @ shape**2), 0.0)
+                errors[k] += float(pixels @ (slope + size * shape) ** 2)
             squares += float(pixels @ slope**2)
     best = int(np.argmin(errors))
     explained = 0 < best < errors.size - 1 and errors[best] < 0.5 * squares
@@ -593,10 +596,3 @@ def slopes_around(
     known = count > 0.75 * whole  # a tilt of all slopes cancels over a whole ring
     n = count[known].astype(np.float64)
     return far[known] / n * mm_per_px, sums[known] / n, n
-
-
-def _misfit(r_mm: Numbers, slope: Numbers, weight: Numbers, length_mm: float) -> float:
-    """Sum of squares that remains after the best -A K1(r/L) with A >= 0."""
-    shape = scipy.special.k1e(r_mm / length_mm) * np.exp((r_mm[0] - r_mm) / length_mm)
-    size = max(-float(weight @ (slope * shape)) / float(weight @ shape**2), 0.0)
-    return float(weight @ (slope + size * shape) ** 2)

@@ -19,8 +19,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gelform.arrays import Array, Map, Numbers
 from gelform.calibration_file import Calibration, calibration_from_contents
 from gelform.errors import CalibrationError, Finding, SensorError
 from gelform.foundations.checks import check_image, check_is, check_mm_per_px, check_positive
@@ -46,7 +47,7 @@ CLEARLY_ALIKE = 0.1
 ROUGH = 0.12
 
 
-def light_from_background(background: NDArray[Any]) -> tuple[NDArray[np.float64], float]:
+def light_from_background(background: Array) -> tuple[Numbers, float]:
     """The light of a background image (H, W, 3), 0-255, and the image's distance from it.
 
     The light is (10, 3) coefficients of each channel's logarithm, polynomials of the third degree in x and y. The distance
@@ -63,20 +64,18 @@ def light_from_background(background: NDArray[Any]) -> tuple[NDArray[np.float64]
     return light, float(np.sqrt(np.mean((design @ light - target) ** 2)))
 
 
-def levels_from_light(light: NDArray[np.float64], x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float32]:
+def levels_from_light(light: Numbers, x: Array, y: Array) -> Map:
     """Gray levels (..., 3) of a light at positions 0-1 across the width and down the height, of equal shapes (...)."""
     levels = np.exp(_terms(x, y) @ light) - OFFSET
     return np.clip(levels, 0, 255).astype(np.float32).reshape(*np.shape(x), 3)
 
 
-def image_of_light(light: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float32]:
+def image_of_light(light: Numbers, shape: tuple[int, int]) -> Map:
     """The smooth background image (H, W, 3) of a light."""
     return levels_from_light(light, *pixel_places(np.arange(shape[1]), np.arange(shape[0]), shape))
 
 
-def pixel_places(
-    columns: NDArray[Any], rows: NDArray[Any], shape: tuple[int, int]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def pixel_places(columns: Array, rows: Array, shape: tuple[int, int]) -> tuple[Numbers, Numbers]:
     """Positions 0-1 of the pixels at crossings of columns and rows of images (H, W); nodes beyond the border lie on it."""
     x, y = (np.clip((np.asarray(along) + 0.5) / n, 0, 1) for along, n in zip((columns, rows), shape[::-1]))
     across, down = np.meshgrid(x, y)
@@ -84,12 +83,12 @@ def pixel_places(
 
 
 def gain_between(
-    light: NDArray[np.float64],
-    usual: NDArray[np.float64],
+    light: Numbers,
+    usual: Numbers,
     offset: float,
     shape: tuple[int, int],
     wider: float = 1.0,
-) -> NDArray[np.float64]:
+) -> Numbers:
     """Usual color change over the color change under a light, at the nodes: (rows, columns, 3).
 
     A color change is divided by the light plus `offset` gray levels; the offset weighs more in a darker unit. The pixels
@@ -105,7 +104,7 @@ def gain_between(
     return (1 + offset / own) / (1 + offset / other)
 
 
-def check_light(background: NDArray[Any], light: NDArray[np.float64], make: str) -> tuple[Finding, ...]:
+def check_light(background: Array, light: Numbers, make: str) -> tuple[Finding, ...]:
     """Refuse a background image without the colors of a make of sensor; return findings.
 
     Brightness and white balance are free: the pattern of colors over the gel is compared, not the pixels.
@@ -138,7 +137,7 @@ def check_light(background: NDArray[Any], light: NDArray[np.float64], make: str)
     return tuple(findings)
 
 
-def _check_upright(background: NDArray[Any], light: NDArray[np.float64], make: str, alike: float) -> None:
+def _check_upright(background: Array, light: Numbers, make: str, alike: float) -> None:
     """Raise a CalibrationError if a background image is clearly more like the make's light when it is read otherwise.
 
     Several readings are named where the light does not tell them apart.
@@ -160,14 +159,14 @@ def _check_upright(background: NDArray[Any], light: NDArray[np.float64], make: s
     )
 
 
-def _terms(x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:
+def _terms(x: Array, y: Array) -> Numbers:
     """Legendre polynomials (N, 10) of positions 0-1, up to the third total degree."""
     across, down = (np.polynomial.legendre.legvander(2 * np.ravel(a) - 1, DEGREE) for a in (x, y))
     pairs = [(i, j) for j in range(DEGREE + 1) for i in range(DEGREE + 1 - j)]
     return np.stack([across[:, i] * down[:, j] for i, j in pairs], axis=1)
 
 
-def _alike(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+def _alike(one: Numbers, other: Numbers) -> float:
     """Correlation of the patterns of color of two lights: each channel relative to the channels' mean, over the gel."""
     x, y = np.meshgrid(*((np.arange(BLOCKS) + 0.5) / BLOCKS,) * 2)
     patterns = []
@@ -192,7 +191,7 @@ class Starter:
 
     sensor: str  # name, as in `starter_names`
     calibration: Calibration  # of the units that it was made from; its background is rendered from `light`
-    light: NDArray[np.float64]  # (10, 3), light on the gel at rest, from `light_from_background`
+    light: Numbers  # (10, 3), light on the gel at rest, from `light_from_background`
     spread: float  # relative standard deviation of the slopes of one unit about those of the make
     units: tuple[str, ...]  # description of the units that it was made from
     # variance of a unit's colors about the forward response, over that of the units that it was fitted to
@@ -224,7 +223,7 @@ class Starter:
 
     def for_unit(
         self,
-        background: NDArray[Any],
+        background: Array,
         *,
         view: View | None = None,
         mm_per_px: float | None = None,
@@ -284,7 +283,7 @@ class Starter:
             made = replace(made, view=view_from_camera(self.sensor, made.image_shape, made.mm_per_px))
         return made
 
-    def check_untouched(self, background: NDArray[np.float32]) -> None:
+    def check_untouched(self, background: Map) -> None:
         """Refuse a background image (H, W, 3) in which something touches the gel, as far as one image shows it.
 
         It is read against its own smooth light, from which an object stands out. Markers, or the gel's rim in sight, stand
@@ -316,7 +315,7 @@ class Starter:
                 "touching the gel. If the gel is damaged there, calibrate with presses of a ball."
             )
 
-    def models_for(self, light: NDArray[np.float64], mm_per_px: float) -> tuple[Any, Any]:
+    def models_for(self, light: Numbers, mm_per_px: float) -> tuple[Any, Any]:
         """Color model and forward response of a unit with another light (10, 3) and scale, for its color changes.
 
         The lamps stand around the gel, so that places and depths are equal in mm, counted from the middle of the image.
