@@ -25,6 +25,41 @@ from gelform.result.maps import BESIDE_DEPTH, KEPT_MAPS, MAPS
 from gelform.result.record import FORMAT_VERSION
 
 
+@pytest.fixture
+def result():
+    """A result of random numbers, with two contacts."""
+    rng = np.random.default_rng(0)
+    shape = (24, 32)
+    return Reconstruction(
+        depth=rng.normal(0, 1, shape).astype(np.float32),
+        depth_sigma_mm=None,
+        gradients=rng.normal(0, 1, (*shape, 2)).astype(np.float32),
+        gradients_sigma=rng.uniform(0, 1, (*shape, 2)).astype(np.float32),
+        observed_gradients=rng.normal(0, 1, (*shape, 2)).astype(np.float32),
+        confidence=rng.uniform(0, 1, shape).astype(np.float32),
+        contact=two_contacts(shape),
+        known=np.ones(shape, dtype=bool),
+        mm_per_px=0.0634,
+        mm_per_px_sigma=0.0009,
+        zero="untouched",
+        solver="dct",
+        curl_rms=0.01,
+        health=(Finding("background_ratio", "<b>darker</b> & older", 0.87),),
+        index=3,
+        time_s=1.5,
+        wall_time_ns=1_700_000_000_123_456_789,
+        calibration_digest="ab12",
+    )
+
+
+def two_contacts(shape):
+    """A rectangle of 4x6 pixels, and one of 3x2 at the right border."""
+    contact = np.zeros(shape, dtype=bool)
+    contact[5:9, 4:10] = True
+    contact[15:18, -2:] = True
+    return contact
+
+
 def test_normals_are_computed_when_asked_for(result):
     n = result.normals
     assert n.shape == (24, 32, 3)
@@ -114,14 +149,35 @@ def thumbnail(html):
     return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
 
 
-def test_an_unknown_pixel_is_no_peak(result):
-    """Room light at the border can make the deepest pixel one that nobody knows."""
-    depth, known = result.depth.copy(), np.ones(result.shape, dtype=bool)
-    depth[0, 0], known[0, 0] = 3.77, False
-    hidden = replace(result, depth=depth, known=known)
-    assert hidden.peak_mm == result.depth_mm.ravel()[1:].max()
-    assert "3.77" not in repr(hidden)
-    assert np.isnan(replace(hidden, known=np.zeros_like(known)).peak_mm)
+@pytest.fixture
+def pressed(result):
+    """Depth that grows to the right, deepest at a border pixel whose depth is not known, as in room light."""
+    depth = np.tile(np.arange(32, dtype=np.float32) / 100, (24, 1))
+    known = np.ones(result.shape, dtype=bool)
+    depth[0, 0], depth[5, 20], depth[7, 9] = 3.77, 0.9, -0.2
+    known[0, 0] = False
+    return replace(result, depth=depth, known=known)
+
+
+def test_depth_is_that_of_known_pixels(pressed):
+    numbers = pressed.numbers
+    assert (numbers.peak, numbers.lowest) == (np.float32(0.9), np.float32(-0.2))
+    assert (numbers.x_px, numbers.y_px) == (20, 5)
+    assert numbers.peak == pressed.peak_mm
+    assert "3.77" not in repr(pressed)
+    unknown = replace(pressed, known=np.zeros_like(pressed.known))
+    assert unknown.numbers is None
+    assert np.isnan(unknown.peak_mm)
+
+
+@pytest.mark.parametrize("mm_per_px", [0.0634, (0.05, 0.08), None])
+def test_area_and_volume_are_of_all_contacts(pressed, mm_per_px):
+    numbers = replace(pressed, mm_per_px=mm_per_px).numbers
+    pixel = np.prod(np.broadcast_to(mm_per_px or 1, 2))
+    assert (numbers.contacts, numbers.contact_px) == (2, 30)
+    assert numbers.area == pytest.approx(30 * pixel)
+    assert numbers.volume == pytest.approx(pressed.depth[pressed.contact].sum(dtype=float) * pixel)
+    assert numbers.over_time == {"peak": numbers.peak, "area": numbers.area, "volume": numbers.volume}
 
 
 @pytest.fixture
@@ -241,33 +297,36 @@ def test_a_saved_result_comes_back_to_the_bit_with_every_optional_part(tmp_path,
 
 
 @pytest.mark.parametrize(
-    ("name", "values", "said"),
+    ("name", "value", "said"),
     [
         ("markers_seen", np.ones(4, np.float32), "Expected markers_seen of another type, got float32"),
         ("markers_now_px", np.full((4, 2), np.nan, np.float32), "markers_now_px"),
         ("markers_sigma_px", np.ones(3, np.float32), "Expected sigma_px of shape"),
         ("markers_rest_px", None, "what it holds does not make a result"),
+        ("zero", 3, "Expected zero as text, got int"),
+        ("curl_rms", -1.0, "Expected curl_rms between 0 and inf"),
+        ("index", "3", "Expected index as a number"),
+        ("outside_change", "1", "Expected outside_change as a number"),
+        (
+            "health",
+            [{"name": 3, "message": "", "figure": 0.0}],
+            "Expected findings with a name and a message",
+        ),
+        ("health", [{"name": "", "message": "", "figure": "0"}], "Expected figure as a number"),
     ],
 )
-def test_damaged_markers_are_refused(tmp_path, result, name, values, said):
+def test_damaged_parts_are_refused(tmp_path, result, name, value, said):
     dots = np.zeros((4, 2), dtype=np.float32)
     flow = MarkerFlow(dots, dots, np.ones(4, dtype=bool), dots[:, 0], result.mm_per_px)
     save_result(replace(result, markers=flow), tmp_path / "x.npz")
     arrays, meta = read_npz(tmp_path / "x.npz", kind=KIND, newest_version=1, max_bytes=1e6, error=DataError)
-    kept = {key: array for key, array in {**arrays, name: values}.items() if array is not None}
-    own = {key: value for key, value in meta.items() if not key.endswith(("format", "version", "digest"))}
+    own = {key: one for key, one in meta.items() if not key.endswith(("format", "version", "_digest"))}
     own["calibration_digest"] = ""
+    (arrays if name in arrays else own)[name] = value
+    kept = {key: array for key, array in arrays.items() if array is not None}
     write_npz(tmp_path / "y.npz", kept, own, kind=KIND, version=1)
     with pytest.raises(DataError, match=f"is damaged: .*{said}"):
         load_result(tmp_path / "y.npz")
-
-
-def test_numpy_reads_the_maps_and_the_scale(tmp_path, result):
-    save_result(result, tmp_path / "x.npz")
-    with np.load(tmp_path / "x.npz", allow_pickle=False) as file:
-        assert {"depth_mm", "gradients", "confidence", "contact", "known", "mm_per_px"} <= set(file.files)
-        assert float(file["mm_per_px"]) == 0.0634
-        assert np.array_equal(file["depth_mm"], result.depth_mm)
 
 
 def test_albedo_only_where_the_model_gives_it(result, tmp_path):
@@ -299,26 +358,20 @@ def test_an_existing_result_stays(tmp_path, result):
     same(result, load_result(tmp_path / "x.npz"))
 
 
-def test_damaged_files_are_said_to_be(tmp_path, result):
-    path = tmp_path / "x.npz"
-    save_result(result, path)
-    content = path.read_bytes()
-    path.write_bytes(content[: len(content) // 2])
-    with pytest.raises(DataError, match=r"truncated or damaged, or no gelform result"):
-        load_result(path)
-    broken = bytearray(content)
-    broken[len(content) // 2] ^= 1
-    path.write_bytes(bytes(broken))
-    with pytest.raises(DataError, match=r"truncated or damaged|altered"):
-        load_result(path)
-    with pytest.raises(DataError, match="No file"):
-        load_result(tmp_path / "missing.npz")
-    write_npz(tmp_path / "new.npz", {}, {}, kind=KIND, version=99)
-    with pytest.raises(DataError, match=r"format version 99.*Install that release or a newer one"):
-        load_result(tmp_path / "new.npz")
-    write_npz(tmp_path / "part.npz", {"depth_mm": np.zeros((3, 4))}, {}, kind=KIND, version=1)
-    with pytest.raises(DataError, match="is damaged: 'zero' is missing"):
-        load_result(tmp_path / "part.npz")
+def test_a_file_of_another_format_or_of_no_result_is_refused(tmp_path, result):
+    """How files are altered and cut: tests/foundations."""
+    depth = {"depth_mm": np.zeros((3, 4))}
+    for arrays, version, said in (
+        ({}, 99, r"format version 99.*Install that release or a newer one"),
+        (depth, 1, "is damaged: 'zero' is missing"),
+    ):
+        write_npz(tmp_path / "x.npz", arrays, {}, kind=KIND, version=version, overwrite=True)
+        with pytest.raises(DataError, match=said):
+            load_result(tmp_path / "x.npz")
+    save_result(result, tmp_path / "x.npz", overwrite=True)
+    (tmp_path / "x.npz").write_bytes((tmp_path / "x.npz").read_bytes()[:-900])
+    with pytest.raises(DataError, match="truncated or damaged, or no gelform result"):
+        load_result(tmp_path / "x.npz")
 
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -336,6 +389,8 @@ def test_the_table_has_every_map_of_a_result_and_its_file(result, tmp_path):
     with np.load(tmp_path / "x.npz") as file:
         derived = {row.name for row in MAPS.values() if row.derived}
         assert MAPS.keys() - derived - {"depth_sigma_mm"} <= set(file.files)
+        assert float(file["mm_per_px"]) == 0.0634
+        assert np.array_equal(file["depth_mm"], result.depth_mm)
 
 
 def test_the_documents_list_what_a_batch_keeps_and_help_reads_the_table_without_numpy():

@@ -90,6 +90,26 @@ def test_every_indenter_is_where_it_touches_the_gel_of_every_sensor(name):
         assert np.abs(press.image.astype(int) - rest).max() > 15
 
 
+STAR, INNER = (
+    0.58 * 4.0,
+    0.45 * 0.58 * 4.0,
+)  # mm from the middle of a coin to a point of its star, and to a notch
+NOTCH = np.deg2rad(36 - 90)
+# On an edge half of the relief is left. The star's points are at the top, the beads from the right on.
+ON_COIN = [
+    ((0.0, 0.0), 0.0),
+    ((0.0, -STAR), -0.05),
+    ((INNER * np.cos(NOTCH), INNER * np.sin(NOTCH)), -0.05),
+    ((0.5 * INNER * np.cos(NOTCH), 0.5 * INNER * np.sin(NOTCH)), 0.0),
+    ((0.0, STAR), -0.1),
+    ((0.74 * 4.0, 0.0), 0.0),
+    ((0.74 * 4.0, 0.05 * 4.0), -0.05),
+    ((0.0, 0.86 * 4.0), -0.05),
+    ((0.0, 3.9), 0.0),
+    ((0.0, 4.1), -np.inf),
+]
+
+
 @pytest.mark.parametrize(
     ("shape", "at", "height"),
     [
@@ -101,6 +121,7 @@ def test_every_indenter_is_where_it_touches_the_gel_of_every_sensor(name):
         (Torus(2, 0.5), (1.2, 1.2), np.sqrt(0.25 - (1.2 * np.sqrt(2) - 2) ** 2) - 0.5),
         (Punch(3, 1), (1.4, 0.4), 0.0),
         (Punch(3, 1), (0.4, 1.4), -np.inf),
+        *((Coin(8.0, 0.1), at, height) for at, height in ON_COIN),
     ],
 )
 def test_faces_are_what_their_geometry_says(shape, at, height):

@@ -21,6 +21,7 @@ from gelform.simulate import (
 from gelform.simulate.gel import Surface, surface_from_indenter
 from gelform.simulate.light import (
     irradiance_from_surface,
+    saturated_from_levels,
     shadowed_from_surface,
     spread_in_gel,
     visible_from_surface,
@@ -246,6 +247,9 @@ def test_the_truth_says_which_pixels_are_saturated():
     np.testing.assert_array_equal(press.saturated, (exact > 255.5).any(axis=-1))
     assert np.all((press.image == 255).any(axis=-1)[press.saturated])
     assert 0 < press.saturated.mean() < 1
+    cut = np.full((2, 3, 3), 100.0)
+    cut[0, 1, 2], cut[1, 0, 0] = -2.0, 300.0
+    assert np.argwhere(saturated_from_levels(cut)).tolist() == [[0, 1], [1, 0]], "below 0 too"
 
 
 def test_averaging_frames_lowers_the_noise():

@@ -24,7 +24,7 @@ from gelform.simulate import (
     simulate_pose,
     simulate_press,
 )
-from gelform.simulate.light import draws, maps_from_depth, normal_table, px_from_mm, saturated_from_levels
+from gelform.simulate.light import draws, maps_from_depth, normal_table, px_from_mm
 from gelform.simulate.sensor import led_ring, settings_from_sensor, texture_gradients
 from kernel_agreement import assert_kernel_agrees
 from made.sources import PLAIN, SMALL
@@ -180,12 +180,6 @@ def test_single_precision_and_the_table_of_the_response_are_exact(gamma):
     gray = simulate_press(sensor, Ball(2), depth_mm=0.5, rng=None).image
     exact = simulate_press(sensor, Ball(2), depth_mm=0.5, rng=None, quantise=False).image
     assert np.abs(gray - np.clip(exact, 0, 255)).max() < 0.51
-
-
-def test_levels_under_zero_are_saturated_too():
-    cut = np.full((2, 3, 3), 100.0)
-    cut[0, 1, 2], cut[1, 0, 0] = -2.0, 300.0
-    assert np.argwhere(saturated_from_levels(cut)).tolist() == [[0, 1], [1, 0]]
 
 
 def test_jpeg_leaves_its_blocks():
