@@ -190,25 +190,23 @@ def test_ten_real_presses_are_enough_to_start(data):
     assert all(row.accepted for row in calibration.report.presses)
 
 
-@pytest.fixture(scope="module")
-def second_unit(sensor):
-    """Another unit: its lights stand up to 3 mm elsewhere and are up to 30 % brighter or dimmer."""
-    rng = np.random.default_rng(5)
-
-    def moved(led):
-        place = np.array(led.position_mm) + rng.normal(0, 2, 3) * (1, 1, 0.5)
-        color = np.array(led.color) * rng.uniform(0.7, 1.3)
-        return replace(led, position_mm=tuple(place), color=tuple(color))
-
-    return replace(sensor, leds=tuple(moved(led) for led in sensor.leds), name="second unit")
-
-
 @pytest.mark.slow
-def test_a_second_unit_needs_five_presses(calibration, second_unit, tmp_path):
-    """Started from the first unit's, it comes near its own full calibration, and is better than five alone.
+def test_a_second_unit_needs_five_presses(calibration, sensor, tmp_path):
+    """Its lights stand up to 3 mm elsewhere and are up to 30 % brighter or dimmer.
 
-    Errors are counted inside one edge, that which is assumed of five presses.
+    Started from the first unit's, it comes near its own full calibration, and is better than five alone. Errors are counted
+    inside one edge, that which is assumed of five presses.
     """
+    rng = np.random.default_rng(5)
+    leds = tuple(
+        replace(
+            led,
+            position_mm=tuple(np.array(led.position_mm) + rng.normal(0, 2, 3) * (1, 1, 0.5)),
+            color=tuple(np.array(led.color) * rng.uniform(0.7, 1.3)),
+        )
+        for led in sensor.leds
+    )
+    second_unit = replace(sensor, leds=leds, name="second unit")
 
     def presses_of(count, seed, name):
         rng = np.random.default_rng(seed)
@@ -254,8 +252,10 @@ def circles_of(presses, calibration, shift=lambda x, y: (0.0, 0.0)):
     return [one for one, _ in used], circles
 
 
-def test_an_error_of_places_is_small_on_a_simulated_sensor_and_kept_in_the_file(calibration):
-    """An impossible one is refused."""
+def test_an_error_of_places_is_small_on_a_simulated_sensor_and_kept_in_the_file(presses, calibration):
+    """An impossible one is refused; few presses show none."""
+    used, circles = circles_of(presses, calibration)
+    assert place_error_from_presses(calibration, used[:3], circles[:3]) is None
     error, (arrays, meta) = calibration.settings.place_error, calibration.contents()
     assert 0.0005 < error < 0.03
     assert calibration_from_contents(arrays, meta).settings.place_error == pytest.approx(error)
@@ -270,11 +270,6 @@ def test_a_wrong_scale_of_the_circles_is_an_error_of_places(presses, calibration
     nearer = circles_of(presses, calibration, lambda x, y: tuple(-0.03 * (np.array([x, y]) - middle)))
     found, own = place_error_from_presses(calibration, *nearer), calibration.settings.place_error
     assert found == pytest.approx(0.03 / np.sqrt(2), abs=1.5 * own + 0.0015)
-
-
-def test_few_presses_show_no_error_of_places(presses, calibration):
-    used, circles = circles_of(presses, calibration)
-    assert place_error_from_presses(calibration, used[:3], circles[:3]) is None
 
 
 def test_an_untouched_pixel_is_seen_beyond_three_radii_and_a_press_as_large_as_the_image_leaves_the_usual():

@@ -321,16 +321,13 @@ def decoded(url):
     return cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
 
 
-def test_a_jpeg_is_rgb_and_no_wider_than_asked():
+def test_a_jpeg_is_rgb_and_no_wider_than_asked_and_many_are_small():
     image = np.zeros((120, 160, 3), dtype=np.uint8)
     image[:, :80, 0] = 200
     back = decoded(jpeg_url(image, 80))
     assert back.shape == (60, 80, 3)
     assert back[30, 10, 2] > 150 > back[30, 10, 0] + 100
     assert decoded(jpeg_url(image, 320)).shape == image.shape
-
-
-def test_many_presses_become_small():
     rng = np.random.default_rng(0)
     images = [rng.integers(0, 255, (120, 160, 3), dtype=np.uint8) for _ in range(12)]
     urls = press_urls(images, budget_bytes=60_000)
@@ -407,24 +404,24 @@ def test_the_learning_chart_has_every_draw_and_what_is_expected(learning):
     assert f"now: {learning['expected']['presses_now']}" in drawn
 
 
-def test_shares_far_off_stand_out_by_the_percents_that_are_printed():
+def test_shares_stand_in_their_bars_and_cells_and_far_off_ones_by_the_percents_that_are_printed():
     drawn = CHARTS.sigma_chart({"by_slope": bins_of("share", (0.68, 0.5, 0.2))})
     bars = [rect.get("class") for rect in ElementTree.fromstring(drawn.strip()).iter("rect")]
     assert bars == ["bar", "bar off", "bar far"]
     assert not CHARTS.sigma_chart({"by_slope": []}).strip()
     for kind, percents in (("bar", (59.6, 60, 76.4)), ("bar off", (59.4, 76.6)), ("bar far", (44.4,))):
         assert {bar_of(percent) for percent in percents} == {kind}
+    grid = {"rows": 1, "columns": 3, "by_place": [0.68, None, 0.3]}
+    texts = [e.text for e in elements(CHARTS.share_map(grid, SHAPE), "text", "cell")]
+    assert texts == ["68 %", "–", "30 %"]
 
 
-def test_markers_lie_between_their_limits():
+def test_markers_lie_between_their_limits_and_ranges_share_a_scale():
     (x, _), *_ = circles(CHARTS.limit_bar(2.0, [1.5, 2.5], 3, 5), "marker")
     (good,) = elements(CHARTS.limit_bar(2.0, [1.5, 2.5], 3, 5), "rect", "zone-good")
     assert 0 < x < float(good.get("width"))
     (far, _), *_ = circles(CHARTS.limit_bar(50.0, None, 3, 5), "marker")
     assert far <= 200
-
-
-def test_ranges_share_a_scale():
     bars = [CHARTS.range_bar({"normal_free_deg": v, "chosen": False}, 5) for v in (2.0, 4.0)]
     one, two = (circles(bar, "dot-first")[0][0] for bar in bars)
     assert two == pytest.approx(2 * one)
@@ -462,9 +459,3 @@ def test_arrows_point_along_the_error_and_empty_cells_stay_blank():
     assert float(down.get("y2")) > float(down.get("y1"))
     assert still.get("x2") == still.get("x1")
     assert scale_of_errors({"rms": [None]}) == 1.0
-
-
-def test_shares_are_written_into_their_cells():
-    sigma = {"rows": 1, "columns": 3, "by_place": [0.68, None, 0.3]}
-    texts = [e.text for e in elements(CHARTS.share_map(sigma, SHAPE), "text", "cell")]
-    assert texts == ["68 %", "–", "30 %"]

@@ -6,7 +6,6 @@ Starters: depth of a unit that was never pressed, from its untouched image and w
 import re
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -258,21 +257,6 @@ def test_the_starter_of_a_source_is_known_by_its_camera_or_its_name():
     assert starter_of_source(source("DIGIT", "gelslim")) is None
 
 
-@pytest.mark.parametrize(("name", "expected"), [("view", "View"), ("serial", "str"), ("gel_id", "str")])
-def test_a_number_for_a_view_or_a_name_is_named(name: str, expected: str) -> None:
-    starter = load_starter("gelsight-mini")
-    background = starter.calibration.background
-    wrong: dict[str, Any] = {name: 3}
-    with pytest.raises(TypeError, match=f"Expected {name} as {expected}"):
-        starter.for_unit(background, **wrong)
-
-
-def test_exchanged_arguments_are_named(background):
-    for sensor in (background, ["digit"], None):
-        with pytest.raises(TypeError, match=r"Expected sensor as a name.* the background comes first"):
-            gelform.calibration_from_background("digit", sensor)
-
-
 def test_a_pressed_gel_makes_no_calibration(layout):
     press = simulate_press(layout, Ball(2.5), depth_mm=0.4, center_mm=(2, 1), rng=np.random.default_rng(3))
     with pytest.raises(CalibrationError, match=r"Something touches the gel .* stands out 0\.4 mm") as refused:
@@ -303,10 +287,17 @@ def test_dots_dust_and_a_rim_in_sight_are_no_touch(data):
         starter.check_untouched(image.astype(np.float32))
 
 
-def test_a_pitch_that_no_unit_has_is_named():
+def test_arguments_that_no_unit_has_are_named(background):
     starter = load_starter("gelsight-mini")
+    own = starter.calibration.background
+    for name, expected in (("view", "View"), ("serial", "str"), ("gel_id", "str")):
+        with pytest.raises(TypeError, match=f"Expected {name} as {expected}"):
+            starter.for_unit(own, **{name: 3})
+    for sensor in (background, ["digit"], None):
+        with pytest.raises(TypeError, match=r"Expected sensor as a name.* the background comes first"):
+            gelform.calibration_from_background("digit", sensor)
     for pitch in (0.634, 0.00634):
         named = rf"gel of a GelSight Mini between 10.1 and 40.6 mm wide, got 320 px of {pitch:g} mm"
         with pytest.raises(ValueError, match=named):
-            starter.for_unit(starter.calibration.background, mm_per_px=pitch)
-    assert starter.for_unit(starter.calibration.background, mm_per_px=0.08).mm_per_px == 0.08
+            starter.for_unit(own, mm_per_px=pitch)
+    assert starter.for_unit(own, mm_per_px=0.08).mm_per_px == 0.08
