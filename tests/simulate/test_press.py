@@ -36,7 +36,7 @@ from gelform.simulate import (
     slide_poses,
     text_relief,
 )
-from gelform.simulate.press import CalibratedLook, Twin, largest_ball_mm
+from gelform.simulate.press import STEEPEST_RENDERED, CalibratedLook, Twin, largest_ball_mm
 from made.sources import DRAGGED, PLAIN, SMALL, box
 
 
@@ -183,12 +183,12 @@ def test_the_calibration_recovers_the_depth_of_its_twin(calibration):
 
 
 def test_steep_slopes_are_rendered_as_the_steepest_known(calibration):
-    look = CalibratedLook(calibration, steepest=0.8)
+    look = CalibratedLook(calibration)
     depth = np.full(calibration.image_shape, 0.3)
     steep, limit = np.zeros((2, *calibration.image_shape, 2))
-    steep[..., 0], limit[..., 0] = 3.0, 0.8
+    steep[..., 0], limit[..., 0] = 3.0, STEEPEST_RENDERED
     np.testing.assert_allclose(look.color_change(steep, depth), look.color_change(limit, depth), atol=1e-6)
-    limit[..., 0] = 0.4
+    limit[..., 0] = 0.8
     assert np.abs(look.color_change(steep, depth) - look.color_change(limit, depth)).max() > 0.02
 
 

@@ -385,17 +385,16 @@ class CalibratedLook:
     """The look that a calibration has learned: its forward response to slope and depth.
 
     An imported response may depend on slope alone. The noise is that of the calibration's images, or that of its background
-    if the former is unknown. Slopes over `steepest` are rendered with it, because the response was fitted on gentler ones.
+    if the former is unknown. Slopes over `STEEPEST_RENDERED` are rendered with it.
     """
 
-    def __init__(self, calibration: Calibration, *, steepest: float = STEEPEST_RENDERED) -> None:
+    def __init__(self, calibration: Calibration) -> None:
         pitch_x, pitch_y = np.broadcast_to(np.asarray(calibration.known_mm_per_px, dtype=np.float64), 2)
         if abs(pitch_x / pitch_y - 1) > 1e-6:
             raise ValueError(
                 f"Expected a calibration of square pixels, got mm_per_px={calibration.mm_per_px}."
             )
         self.calibration = calibration
-        self.steepest = check_positive(steepest, "steepest")
         self.name = calibration.sensor_name
         self.background = calibration.background
         self.mm_per_px = float(pitch_x)
@@ -409,7 +408,7 @@ class CalibratedLook:
     def color_change(self, gradients: Array, depth_mm: Array) -> Map:
         """Expected color change (H, W, 3) for gradients (H, W, 2), with a limit on steep ones, and depths (H, W)."""
         steepness = np.linalg.norm(gradients, axis=-1, keepdims=True)
-        limited = gradients * np.minimum(1, self.steepest / np.maximum(steepness, 1e-12))
+        limited = gradients * np.minimum(1, STEEPEST_RENDERED / np.maximum(steepness, 1e-12))
         forward = self.calibration.forward
         if forward is None:
             return self.calibration.color_from_gradients(limited)

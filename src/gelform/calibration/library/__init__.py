@@ -143,10 +143,6 @@ class Entry:
     digest: str = ""
     held_out: Mapping[str, float] = field(default_factory=dict)
 
-    def described(self) -> str:
-        """File, gel and date, for a sentence."""
-        return described(self.path.name, self)
-
     def answers_to(self, word: str) -> bool:
         """Whether a serial, a file name or the beginning of a digest identifies it."""
         by_digest = bool(self.digest) and len(word) >= 4 and self.digest.startswith(word.lower())
@@ -364,7 +360,9 @@ def choose_calibration(unit: Unit, folder: Path | None = None, *, ready: bool = 
         )
     entry = (in_use or of_unit)[0]
     return Choice(
-        load_calibration(entry.path), f"Calibration of {unit.said}: {entry.described()}.", entry.path
+        load_calibration(entry.path),
+        f"Calibration of {unit.said}: {described(entry.path.name, entry)}.",
+        entry.path,
     )
 
 

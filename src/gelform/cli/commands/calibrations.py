@@ -175,7 +175,7 @@ def export_(
       gelform calibrations export 2BKRXXXX -o mini.npz
       gelform calibrations export 2BKRXXXX --gel gel-2 -o gel-2.npz
     """
-    from gelform.calibration.library import matching
+    from gelform.calibration.library import described, matching
     from gelform.foundations.files import written_file
 
     check_output(output, overwrite=overwrite)
@@ -185,7 +185,7 @@ def export_(
         raise DataError(f"{found[0].path.name} cannot be read: {found[0].problem}")
     with written_file(output, overwrite=overwrite) as handle:
         handle.write(entry.path.read_bytes())
-    shown.say(f"Wrote {output}: {entry.described()}.")
+    shown.say(f"Wrote {output}: {described(entry.path.name, entry)}.")
     shown.json({"file": output, "from": entry.path, "serial": entry.serial, "gel_id": entry.gel_id})
 
 
