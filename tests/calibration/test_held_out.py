@@ -250,11 +250,13 @@ def first(calibration, presses):
     return press, circle, Reconstructor(calibration).from_image(press.image)
 
 
-def test_thinning_keeps_the_press_and_an_empty_picture_is_no_crash(calibration, presses, first):
+def test_thinning_keeps_the_press_and_an_empty_picture_is_no_crash(calibration, presses, first, monkeypatch):
     stated = first[2].gradients_sigma[..., 0]
-    (_, full, cap), (_, thin, same) = (
-        errors_of(4, *first, calibration.mm_per_px, 0.85, stated=stated, max_pixels=n) for n in (10**6, 150)
-    )
+    found = []
+    for most in (10**6, 150):
+        monkeypatch.setattr(module, "PRESS_PIXELS", most)
+        found.append(errors_of(4, *first, calibration.mm_per_px, 0.85, stated=stated))
+    (_, full, cap), (_, thin, same) = found
     assert 75 <= len(thin) <= 160 < len(full)
     assert set(full["press"]) == set(thin["press"]) == {4}
     np.testing.assert_array_equal(cap, same)

@@ -33,7 +33,6 @@ from gelform.calibration.selection import (
     candidates_for,
     candidates_from,
     circle_sigmas,
-    color_model_names,
     fitted_responses,
     make_folds,
     score_of,
@@ -54,31 +53,14 @@ from made.images import ball_samples, lambertian_change
 @pytest.mark.parametrize("presses", [2, 3, 6, 12, 17, 18, 29, 30, 100])
 @pytest.mark.parametrize("name", ["auto", *COLOR_MODELS])
 def test_something_is_always_tried(name, presses):
-    """Of "auto" the ridges of one model, the stiffest first, which is chosen of equals."""
-    candidates = candidates_for(name, presses)
-    assert {c.model for c in candidates} == {"hierarchical" if name == "auto" else name}
+    """What the model's class names; of "auto" the ridges of one model, the stiffest first, which is chosen of equals."""
+    candidates, model = candidates_for(name, presses), "hierarchical" if name == "auto" else name
+    assert {c.model for c in candidates} == {model}
+    assert [dict(c.settings) for c in candidates] == list(COLOR_MODELS[model].variants(presses))
     if name == "auto":
         ridges = [dict(c.settings)["ridge"] for c in candidates]
         assert ridges == sorted(hierarchical.RIDGES, reverse=True)
     assert {(c.step_ridge, c.start) for c in candidates} == {(None, None)}, "steps are of what was chosen"
-
-
-def test_the_class_says_what_is_tried(monkeypatch):
-    """A model of one's own is tried by its name, in all its variants; auto does not know it."""
-
-    class Mine:
-        name, change_offset = "mine", 4.0
-
-        @classmethod
-        def variants(cls, presses):
-            return [{"strength": 2}, {"strength": presses}]
-
-    monkeypatch.setitem(COLOR_MODELS, "mine", Mine)
-    candidates = candidates_for("mine", 40)
-    assert [one.describe() for one in candidates] == ["mine strength 2", "mine strength 40"]
-    assert {one.change_offset for one in candidates} == {4.0}
-    assert color_model_names() == ["auto", *COLOR_MODELS]
-    assert "mine" not in {c.model for c in candidates_for("auto", 40)}
 
 
 def start_at(model):
@@ -123,6 +105,7 @@ def test_a_candidate_says_its_settings_and_its_step():
     candidate = polynomial(2, 1)
     assert candidate.describe() == "polynomial 2-1"
     assert polynomial(2, 1, step_ridge=3e-5).describe() == "polynomial 2-1 step 3e-05"
+    assert STIFF.describe() == "hierarchical ridge 0.001"
     assert candidate.change_offset == COLOR_MODELS["polynomial"].change_offset
     assert Candidate("lambertian").change_offset == 0
 

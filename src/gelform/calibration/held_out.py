@@ -286,11 +286,10 @@ def errors_of(
     contact_radius_ratio: float,
     *,
     stated: Map | None = None,
-    max_pixels: int = PRESS_PIXELS,
 ) -> tuple[PressErrors, Array, Map]:
     """Errors of a reconstructed press with a visible circle (center x, y, radius, px), its pixels, and depth minus the cap.
 
-    The pixels (`PIXEL`) are about `max_pixels` up to the visible rim, about the fitted center as in `press_errors`. `stated`
+    About `PRESS_PIXELS` pixels (`PIXEL`) up to the visible rim, about the fitted center as in `press_errors`. `stated`
     (H, W) is the deviation of the slopes as read. Depth minus the ball's cap is (h, w), um, in the contact's box, of mean 0
     and NaN outside it; empty if the fitted ball lies outside the frame.
     """
@@ -299,7 +298,7 @@ def errors_of(
     ball_px, center = ball_mm / mm_per_px, fit.center_px
     y, x = np.ogrid[: result.shape[0], : result.shape[1]]
     rows, cols = np.nonzero(np.hypot(x - center[0], y - center[1]) < fit.reach_px)
-    thin = (cols + 3 * rows) % max(-(-len(rows) // max_pixels), 1) == 0
+    thin = (cols + 3 * rows) % max(-(-len(rows) // PRESS_PIXELS), 1) == 0
     rows, cols = rows[thin], cols[thin]
     pixels = table(
         PIXEL,

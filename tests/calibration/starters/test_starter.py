@@ -165,19 +165,14 @@ def test_a_starter_s_calibration_is_a_calibration_like_any_other(background, tmp
     assert back.unit_spread == calibration.unit_spread
 
 
-def test_a_frame_of_the_camera_goes_through_the_make_s_view():
-    light = load_starter("gelsight-mini").calibration.background
+def test_a_frame_of_the_camera_goes_through_the_make_s_view_and_an_image_begins_that_view_too():
+    light, mini = load_starter("gelsight-mini").calibration.background, SENSORS["gelsight-mini"]
     frame = np.zeros((336, 448, 3), np.float32)
     frame[48:288, 64:384] = light
     calibration = calibration_from_background(frame, "gelsight-mini")
     assert calibration.view.frame_shape == (336, 448)
     assert calibration.image_shape == light.shape[:2]
     np.testing.assert_allclose(calibration.background, light, atol=1.5)
-
-
-def test_an_image_of_the_make_begins_a_calibration_of_its_camera_too():
-    light = load_starter("gelsight-mini").calibration.background
-    mini = SENSORS["gelsight-mini"]
     by_image = calibration_from_background(light, "gelsight-mini")
     assert by_image.view == mini.profile.view(mini.camera.frame_shape)
     assert calibration_from_background(light, "gelsight-mini", mm_per_px=0.05).view.is_identity
