@@ -24,8 +24,8 @@ from gelform.simulate import (
     simulate_pose,
     simulate_press,
 )
-from gelform.simulate.light import draws, maps_from_depth, normal_table, px_from_mm
-from gelform.simulate.sensor import led_ring, settings_from_sensor, texture_gradients
+from gelform.simulate.light import draws, maps_from_depth, normal_table, px_from_mm, texture_gradients
+from gelform.simulate.sensor import led_ring, settings_from_sensor
 from kernel_agreement import assert_kernel_agrees
 from made.sources import PLAIN, SMALL
 

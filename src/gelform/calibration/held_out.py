@@ -39,8 +39,7 @@ from gelform.result.metrics import (
     score_slopes,
 )
 from gelform.slopes.budget import noise_at_rest
-from gelform.slopes.color_models import ForwardResponse
-from gelform.slopes.color_models.forward_response import Step
+from gelform.slopes.color_models.forward_response import ForwardResponse, Step
 from gelform.slopes.sigma import AT_REST, HELD_OUT, ONE_SIGMA, TWO_SIGMA, SlopeSigma
 
 LAGS = 24  # steps, px at 240 rows; errors in a contact correlate over 3-10

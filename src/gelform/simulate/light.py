@@ -12,20 +12,11 @@ import scipy  # its parts load at first use
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.arrays import Array, Floats, Map, Mask, Numbers
+from gelform.arrays import Array, Floats, Map, Mask, Numbers, Slopes
 from gelform.foundations.checks import check_is
 from gelform.foundations.files import picture_bytes
 from gelform.simulate.gel import Surface, flat_surface
-from gelform.simulate.sensor import (
-    SHADING_DEGREES,
-    Coating,
-    Led,
-    SimulatedSensor,
-    Triple,
-    albedo_map,
-    texture_gradients,
-    with_markers,
-)
+from gelform.simulate.sensor import SHADING_DEGREES, Coating, Grid, Led, SimulatedSensor, Triple
 
 _irradiance = Kernel(
     "irradiance",
@@ -347,6 +338,75 @@ def saturated_from_levels(levels: Array) -> Mask:
     return cv2.inRange(levels, (-0.5,) * 3, (255.5,) * 3) == 0
 
 
+@lru_cache(maxsize=8)
+def albedo_map(coating: Coating, shape: Grid, mm_per_px: float) -> Map:
+    """Reflectance (H, W) of a gel without its markers: the albedo map and dust."""
+    albedo = np.ones(shape, dtype=np.float32)
+    if coating.albedo is not None:
+        stretched = cv2.resize(coating.albedo.values, shape[::-1], interpolation=cv2.INTER_LINEAR)
+        albedo = stretched.astype(np.float32)
+    rng = np.random.default_rng([coating.seed, 1])
+    for _ in range(coating.dust):
+        at, size = rng.uniform(0, 1, 2) * shape[::-1], rng.uniform(0.04, 0.12) / mm_per_px
+        level = rng.choice([rng.uniform(0.3, 0.8), rng.uniform(1.2, 1.8)])
+        y, x = np.ogrid[: shape[0], : shape[1]]
+        cover = np.clip(size + 0.5 - np.hypot(x - at[0], y - at[1]), 0, 1).astype(np.float32)
+        albedo = np.asarray(albedo * (1 + cover * np.float32(level - 1)), dtype=np.float32)
+    return albedo
+
+
+def albedo_with_markers(sensor: SimulatedSensor, markers_mm: Numbers) -> Map:
+    """Reflectance (H, W) on the gel's grid: dark dots with soft edges at the present positions (N, 2) of the markers."""
+    coating, shape = sensor.coating, sensor.shape
+    albedo = albedo_map(coating, shape, sensor.mm_per_px)
+    if len(markers_mm) == 0:
+        return albedo
+    places = markers_mm / sensor.mm_per_px + (np.array(shape[::-1]) - 1) / 2
+    radius, out = coating.marker_radius_mm / sensor.mm_per_px, albedo.copy()
+    reach = int(radius) + 1
+    row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    x, y = (np.rint(places[:, k]).astype(np.intp)[:, None, None] for k in (0, 1))
+    rows, columns = np.broadcast_arrays(y + row, x + column)
+    away = np.hypot(columns - places[:, 0, None, None], rows - places[:, 1, None, None])
+    cover = np.clip(radius + 0.5 - away, 0, 1)
+    if coating.marker_broken:
+        bites = coating.marker_bites(len(places))
+        bitten = places + radius * np.where(np.isnan(bites), 9, bites)
+        away = np.hypot(columns - bitten[:, 0, None, None], rows - bitten[:, 1, None, None])
+        cover *= 1 - np.clip(0.6 * radius + 0.5 - away, 0, 1)
+    shown = (cover > 0) & (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
+    np.multiply.at(out, (rows[shown], columns[shown]), (1 - 0.9 * cover[shown]).astype(np.float32))
+    return out
+
+
+@lru_cache(maxsize=8)
+def texture_gradients(coating: Coating, shape: Grid, mm_per_px: float, oversample: int) -> Slopes | None:
+    """Slopes (h, w, 2) of roughness and scratches on the fine grid, or None where there are none.
+
+    They are made on a grid of the pixels' pitch and stretched, so that the gel is the same for every oversample.
+    """
+    if coating.roughness == 0 and coating.scratches == 0:
+        return None
+    height = np.zeros(shape, dtype=np.float32)
+    rng = np.random.default_rng([coating.seed, 2])
+    if coating.roughness > 0:
+        white = rng.standard_normal(shape).astype(np.float32)
+        grain = cv2.GaussianBlur(white, (0, 0), max(coating.grain_mm / mm_per_px, 0.5))
+        slope = np.std(np.gradient(grain, mm_per_px), dtype=np.float64)
+        height += grain * np.float32(coating.roughness / slope)
+    for _ in range(coating.scratches):  # grooves 2-8 um deep, 2-6 mm long, straight
+        start = rng.uniform(0, 1, 2) * shape[::-1]
+        angle, length = rng.uniform(0, np.pi), rng.uniform(2, 6) / mm_per_px
+        end = start + length * np.array([np.cos(angle), np.sin(angle)])
+        first, last = np.rint([start, end]).astype(int).tolist()
+        groove = np.zeros(shape, dtype=np.float32)
+        cv2.line(groove, first, last, 1.0, 1, cv2.LINE_8)
+        height -= cv2.GaussianBlur(groove, (0, 0), 0.8) * np.float32(rng.uniform(0.002, 0.008))
+    size = (shape[1] * oversample, shape[0] * oversample)
+    slopes = [cv2.resize(s, size, interpolation=cv2.INTER_LINEAR) for s in np.gradient(height, mm_per_px)]
+    return np.stack(slopes[::-1], axis=-1).astype(np.float32)
+
+
 @dataclass(frozen=True)
 class Rendered:
     """An image and its truth, on the image's grid; see `SimulatedPress`."""
@@ -391,7 +451,7 @@ def render(
         dtype=dtype,
     )
     markers = sensor.coating.markers_mm(sensor.shape, sensor.mm_per_px) if markers_mm is None else markers_mm
-    albedo = _albedo(sensor, markers)
+    albedo = albedo_with_markers(sensor, markers)
     lamps: Array = sensor.timing.light_at(time_s, sensor.shape[0]).astype(dtype)
     light = cv2.multiply(light, cv2.merge([albedo * lamps[..., channel] for channel in range(3)]))
     light = spread_in_gel(np.asarray(light), sensor.coating, sensor.mm_per_px)
@@ -422,16 +482,6 @@ def _truth(surface: Surface, albedo: Map, shadowed: Mask, maps: Maps | None) -> 
     flags = cv2.remap(flags, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REFLECT_101)
     depth, bright = looked_at[..., 0].astype(np.float64), looked_at[..., 3].copy()
     return depth, looked_at[..., 1:3].astype(np.float64), bright, (flags & 1) > 0, flags > 1
-
-
-def _albedo(sensor: SimulatedSensor, markers_mm: Numbers) -> Map:
-    """Reflectance (H, W) on the gel's grid, with the markers at their present positions."""
-    albedo = albedo_map(sensor.coating, sensor.shape, sensor.mm_per_px)
-    if len(markers_mm) == 0:
-        return albedo
-    places = markers_mm / sensor.mm_per_px + (np.array(sensor.shape[::-1]) - 1) / 2
-    bites = sensor.coating.marker_bites(len(places)) if sensor.coating.marker_broken else None
-    return with_markers(albedo, places, sensor.coating.marker_radius_mm / sensor.mm_per_px, bites)
 
 
 def simulate_background(

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from functools import lru_cache
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gelform.arrays import Array, Map, Numbers, Slopes
+from gelform.arrays import Array, Numbers
 from gelform.foundations.checks import (
     check_map,
     check_mm_per_px,
@@ -122,69 +120,6 @@ class _Albedo:
             raise ValueError(
                 f"Expected albedo of shape (h, w) in 0-1, got {self.values.shape}, up to {self.values.max():g}."
             )
-
-
-@lru_cache(maxsize=8)
-def albedo_map(coating: Coating, shape: Grid, mm_per_px: float) -> Map:
-    """Reflectance (H, W) of a gel without its markers: the albedo map and dust."""
-    albedo = np.ones(shape, dtype=np.float32)
-    if coating.albedo is not None:
-        stretched = cv2.resize(coating.albedo.values, shape[::-1], interpolation=cv2.INTER_LINEAR)
-        albedo = stretched.astype(np.float32)
-    rng = np.random.default_rng([coating.seed, 1])
-    for _ in range(coating.dust):
-        at, size = rng.uniform(0, 1, 2) * shape[::-1], rng.uniform(0.04, 0.12) / mm_per_px
-        level = rng.choice([rng.uniform(0.3, 0.8), rng.uniform(1.2, 1.8)])
-        y, x = np.ogrid[: shape[0], : shape[1]]
-        cover = np.clip(size + 0.5 - np.hypot(x - at[0], y - at[1]), 0, 1).astype(np.float32)
-        albedo = np.asarray(albedo * (1 + cover * np.float32(level - 1)), dtype=np.float32)
-    return albedo
-
-
-def with_markers(albedo: Map, places_px: Numbers, radius_px: float, bites: Numbers | None = None) -> Map:
-    """The reflectance with dark dots at positions (N, 2), x and y, with soft edges; `bites` as `Coating.marker_bites`."""
-    out = albedo.copy()
-    reach = int(radius_px) + 1
-    row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    x, y = (np.rint(places_px[:, k]).astype(np.intp)[:, None, None] for k in (0, 1))
-    rows, columns = np.broadcast_arrays(y + row, x + column)
-    away = np.hypot(columns - places_px[:, 0, None, None], rows - places_px[:, 1, None, None])
-    cover = np.clip(radius_px + 0.5 - away, 0, 1)
-    if bites is not None:
-        bitten = places_px + radius_px * np.where(np.isnan(bites), 9, bites)
-        away = np.hypot(columns - bitten[:, 0, None, None], rows - bitten[:, 1, None, None])
-        cover *= 1 - np.clip(0.6 * radius_px + 0.5 - away, 0, 1)
-    shown = (cover > 0) & (rows >= 0) & (rows < out.shape[0]) & (columns >= 0) & (columns < out.shape[1])
-    np.multiply.at(out, (rows[shown], columns[shown]), (1 - 0.9 * cover[shown]).astype(np.float32))
-    return out
-
-
-@lru_cache(maxsize=8)
-def texture_gradients(coating: Coating, shape: Grid, mm_per_px: float, oversample: int) -> Slopes | None:
-    """Slopes (h, w, 2) of roughness and scratches on the fine grid, or None where there are none.
-
-    They are made on a grid of the pixels' pitch and stretched, so that the gel is the same for every oversample.
-    """
-    if coating.roughness == 0 and coating.scratches == 0:
-        return None
-    height = np.zeros(shape, dtype=np.float32)
-    rng = np.random.default_rng([coating.seed, 2])
-    if coating.roughness > 0:
-        white = rng.standard_normal(shape).astype(np.float32)
-        grain = cv2.GaussianBlur(white, (0, 0), max(coating.grain_mm / mm_per_px, 0.5))
-        slope = np.std(np.gradient(grain, mm_per_px), dtype=np.float64)
-        height += grain * np.float32(coating.roughness / slope)
-    for _ in range(coating.scratches):  # grooves 2-8 um deep, 2-6 mm long, straight
-        start = rng.uniform(0, 1, 2) * shape[::-1]
-        angle, length = rng.uniform(0, np.pi), rng.uniform(2, 6) / mm_per_px
-        end = start + length * np.array([np.cos(angle), np.sin(angle)])
-        first, last = np.rint([start, end]).astype(int).tolist()
-        groove = np.zeros(shape, dtype=np.float32)
-        cv2.line(groove, first, last, 1.0, 1, cv2.LINE_8)
-        height -= cv2.GaussianBlur(groove, (0, 0), 0.8) * np.float32(rng.uniform(0.002, 0.008))
-    size = (shape[1] * oversample, shape[0] * oversample)
-    slopes = [cv2.resize(s, size, interpolation=cv2.INTER_LINEAR) for s in np.gradient(height, mm_per_px)]
-    return np.stack(slopes[::-1], axis=-1).astype(np.float32)
 
 
 Triple = tuple[float, float, float]

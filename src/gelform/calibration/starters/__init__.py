@@ -32,8 +32,7 @@ from gelform.image.markers import MarkerFollower
 from gelform.image.view import View, image_from_frame
 from gelform.reconstruct import Reconstructor
 from gelform.sensors.profiles import PROFILES, SENSORS, check_gel_width, make_of, view_from_camera
-from gelform.slopes.color_models import StartableModel
-from gelform.slopes.color_models.seam import node_positions
+from gelform.slopes.color_models.seam import StartableModel, node_positions
 
 DEGREE = 3  # degree of the polynomial in x and y
 BLOCKS = 16  # blocks along the longer side; the surface is fitted to their means
