@@ -235,14 +235,6 @@ def test_a_second_unit_needs_five_presses(calibration, sensor, tmp_path):
     assert gelform.load_calibration(tmp_path / "second.npz").settings["gel_thickness_mm"] == 2.5
 
 
-def test_what_cannot_be_started_from_is_said(calibration, presses):
-    with pytest.raises(ValueError, match=r"--model hierarchical"):
-        gelform.calibrate(presses, start=calibration, color_model="lambertian")
-    other = replace(calibration, color_model=replace(calibration.color_model, shape=(10, 10)))
-    with pytest.raises(ValueError, match=r"10x10 px"):
-        gelform.calibrate(presses, start=other)
-
-
 def circles_of(presses, calibration, shift=lambda x, y: (0.0, 0.0)):
     used = [(one, row) for one, row in zip(presses.presses, calibration.report.presses) if row.accepted]
     circles = []

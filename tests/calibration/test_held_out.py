@@ -280,17 +280,6 @@ def test_pixels_are_about_the_center_of_the_slopes_and_caps_about_that_of_the_de
     assert np.nanmax(np.abs(cap_um)) < 1
 
 
-def test_errors_are_counted_inside_the_edge(calibration, first):
-    """The figures that do not say otherwise; a rim that is read wrong changes the rim's alone."""
-    press, circle, result = first
-    y, x = np.mgrid[: result.shape[0], : result.shape[1]]
-    beyond = np.hypot(x - circle[0], y - circle[1]) > 0.75 * circle[2]
-    spoilt = replace(result, gradients=np.where(beyond[..., None], 0, result.gradients).astype(np.float32))
-    plain, rim = (errors_of(0, press, circle, one, calibration.mm_per_px, 0.7)[0] for one in (result, spoilt))
-    assert plain.normal_free_deg == pytest.approx(rim.normal_free_deg, rel=0.02)
-    assert rim.normal_rim_deg > plain.normal_rim_deg + 3
-
-
 WHITE = SlopeSigma(
     rest=0.01, per_step=0.05, full_confidence_sigma=0.05, correlation_px=8.0, correlated_share=0.0
 )

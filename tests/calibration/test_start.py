@@ -87,11 +87,21 @@ def test_the_noise_of_colors_is_that_of_the_response(lambertian_calibration, mon
     np.testing.assert_allclose(np.cov(drawn[0].T), covariance, atol=1e-5)
 
 
-def test_a_start_without_a_forward_response_or_of_another_size_is_refused(lambertian_calibration, presses):
-    with pytest.raises(CalibrationError, match="what color a slope gives"):
-        start_from(replace(lambertian_calibration, forward=None), presses, "auto")
-    with pytest.raises(ValueError, match="132x176 px, got one for 10x20 px"):
-        start_from(replace(lambertian_calibration, image_shape=(10, 20)), presses, "auto")
+def test_what_cannot_be_started_from_is_said(lambertian_calibration, calibration, presses):
+    other_shape = replace(calibration, color_model=replace(calibration.color_model, shape=(10, 10)))
+    for first, model, error, said in (
+        (calibration, "lambertian", ValueError, "--model hierarchical"),
+        (other_shape, "auto", ValueError, "10x10 px"),
+        (
+            replace(lambertian_calibration, image_shape=(10, 20)),
+            "auto",
+            ValueError,
+            "132x176 px, got one for 10x20",
+        ),
+        (replace(lambertian_calibration, forward=None), "auto", CalibrationError, "what color a slope gives"),
+    ):
+        with pytest.raises(error, match=said):
+            start_from(first, presses, model)
 
 
 def test_the_make_brings_the_starter_whatever_the_sensor_is_called(presses):
