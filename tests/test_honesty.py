@@ -37,14 +37,10 @@ def depths(read, where):
     return [((r.depth_mm - made.depth_mm) / r.depth_sigma_mm)[where(made)] for made, r in read]
 
 
-def away(made):
+def radii(made):
+    """Distance of each pixel from the ball's axis, in contact radii."""
     y, x = np.indices(made.depth_mm.shape)
-    return np.hypot(x - made.center_px[0], y - made.center_px[1]) > 3 * made.contact_radius_px
-
-
-def inner(made):
-    y, x = np.indices(made.depth_mm.shape)
-    return np.hypot(x - made.center_px[0], y - made.center_px[1]) < 0.85 * made.contact_radius_px
+    return np.hypot(x - made.center_px[0], y - made.center_px[1]) / made.contact_radius_px
 
 
 def shapes(read):
@@ -114,8 +110,12 @@ def scales():
 # Errors over sigma, their least and largest part within one, and their least part within two. A sensor of few rows is
 # stated a little too widely (docs/decisions/0009-stated-slopes.md).
 STATED = {
-    "solved slopes of a contact": (lambda read: slopes(read, inner), (0.6, 0.99), 0.95),
-    "solved slopes at rest": (lambda read: slopes(read, away), (0.6, 0.97), 0.95),
+    "solved slopes of a contact": (
+        lambda read: slopes(read, lambda made: radii(made) < 0.85),
+        (0.6, 0.99),
+        0.95,
+    ),
+    "solved slopes at rest": (lambda read: slopes(read, lambda made: radii(made) > 3), (0.6, 0.97), 0.95),
     "depth of a frame": (lambda read: depths(read, lambda _: ...), (0.5, 0.85), 0.9),
     "depth of a contact": (lambda read: depths(read, lambda made: made.contact), (0.5, 0.95), 0.9),
     "shape of a contact": (shapes, (0.5, 0.9), 0.88),
