@@ -97,18 +97,36 @@ def test_the_first_format_is_read():
     assert kept == set(range(1, FORMAT_VERSION + 1))
 
 
-def test_a_response_that_does_not_fit_together_is_damage(calibration, tmp_path):
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("forward_nodes", np.zeros((9, 12, 16, 3)), "Expected forward nodes"),
+        ("forward_covariance", -np.eye(3), "Expected forward nodes"),
+        ("forward_covariance", None, "'covariance' is missing"),
+        ("background_noise", np.ones((2, 3)), r"Expected background_noise of shape \(3,\)"),
+        ("sensor_name", 3, "Expected sensor_name of another type, got int"),
+        ("serial", 3, "Expected serial of another type"),
+        ("held_out", [], "Expected held_out of another type"),
+        ("training_digests", {}, "Expected training_digests of another type"),
+        ("slope_sigma", [], "Expected slope_sigma of another type"),
+        ("image_shape", [132], "Expected image_shape as two whole numbers"),
+        ("image_shape", [132, -176], "Expected image_shape as two whole numbers"),
+        ("color_model", "magic", "Expected a color model among lambertian, .*, got 'magic'"),
+        ("mm_per_px", -1.0, "Expected mm_per_px > 0"),
+        ("mm_per_px_sigma", -1.0, "Expected mm_per_px_sigma between"),
+        ("untouched_change", -1.0, "Expected untouched_change between"),
+        ("settings", {"place_error": 2.0}, "Expected place_error between"),
+        ("settings", {"gel_thickness_mm": 99.0}, "Expected gel_thickness_mm between"),
+        ("settings", {"starter": {"spread": 2.0}}, "Expected spread between"),
+    ],
+)
+def test_what_does_not_fit_together_is_damage(calibration, tmp_path, name, value, said):
     arrays, meta = calibration.contents()
-    nodes, covariance = arrays["forward_nodes"], arrays["forward_covariance"]
-    less = {name: one for name, one in arrays.items() if name != "forward_covariance"}
-    for damaged, said in (
-        ({**arrays, "forward_nodes": nodes[:, :, :16]}, "Expected forward nodes"),
-        ({**arrays, "forward_covariance": -covariance}, "Expected forward nodes"),
-        (less, "'covariance' is missing"),
-    ):
-        write_npz(tmp_path / "x.npz", damaged, meta, kind=KIND, version=1, overwrite=True)
-        with pytest.raises(CalibrationError, match=f"is damaged: {said}"):
-            gelform.load_calibration(tmp_path / "x.npz")
+    (arrays if name in arrays else meta)[name] = value
+    kept = {key: one for key, one in arrays.items() if one is not None}
+    write_npz(tmp_path / "x.npz", kept, meta, kind=KIND, version=1)
+    with pytest.raises(CalibrationError, match=f"is damaged: .*{said}"):
+        gelform.load_calibration(tmp_path / "x.npz")
 
 
 def test_it_is_shown_in_a_line_and_in_a_notebook_with_its_background(calibration):

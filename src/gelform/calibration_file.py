@@ -15,6 +15,7 @@ from gelform.arrays import Array, Map, Numbers
 from gelform.depth.force import ForceModel
 from gelform.errors import CalibrationError, Finding
 from gelform.foundations.checks import (
+    check_choice,
     check_gel_thickness,
     check_image,
     check_mm_per_px,
@@ -372,8 +373,7 @@ def calibration_from_contents(arrays: dict[str, Array], meta: dict[str, Any]) ->
     _check_contents(arrays, meta)
     height, width = meta["image_shape"]
     models = {**COLOR_MODELS, **IMPORTED_MODELS}
-    if meta["color_model"] not in models:
-        raise ValueError(f"unknown color model {meta['color_model']!r}, known are {', '.join(models)}")
+    kind = models[check_choice(meta["color_model"], models, "a color model")]
     forward, slope_sigma = meta["forward_settings"], meta["slope_sigma"]
     if forward is not None:
         forward = ForwardResponse.from_arrays(parts("forward_"), {**forward, "shape": [height, width]})
@@ -384,7 +384,7 @@ def calibration_from_contents(arrays: dict[str, Array], meta: dict[str, Any]) ->
         background=arrays["background"],
         background_noise=arrays["background_noise"],
         change=ChangeSettings(**meta["change"]),
-        color_model=models[meta["color_model"]].from_arrays(parts("model_"), meta["model_settings"]),
+        color_model=kind.from_arrays(parts("model_"), meta["model_settings"]),
         forward=forward,
         slope_sigma=None if slope_sigma is None else SlopeSigma.from_dict(slope_sigma),
         training_digests=tuple(meta["training_digests"]),

@@ -47,7 +47,6 @@ from gelform.sensors.record import attachments_of
 from gelform.sensors.simulated import simulated_sensor_named
 from gelform.simulate import Ball, simulate_press
 from made.small_gel import Touch, calibration, image_of, save
-from made.sources import ImageSource
 
 
 def test_the_one_shipped_is_right():
@@ -294,17 +293,6 @@ def test_images_are_of_the_sensor_that_their_folder_names(full, tmp_path):
         unit_of_all([first, second])
     save(tmp_path / "3/lone/a.png", image_of(Touch()))
     assert unit_of_all([tmp_path / "3/lone/a.png"]).serial == ""
-
-
-def test_a_stream_takes_it_where_none_is_given(full):
-    source = ImageSource([image_of(Touch())] * 3)
-    source.serial = "S1"
-    with gelform.stream(source) as stream:
-        assert stream.calibration.digest == NEW.digest
-        assert next(iter(stream)).calibration_digest == NEW.digest
-    source.serial = "S9"
-    with pytest.raises(CalibrationError, match="serial S9"):
-        gelform.stream(source)
 
 
 def test_the_simulated_sensor_has_its_own_unless_the_library_has_one_or_a_starter_is_wanted(full):
