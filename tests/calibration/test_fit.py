@@ -35,7 +35,7 @@ from gelform.simulate import LAYOUTS, Ball, Punch, simulate_ball_presses, simula
 from gelform.simulate.gel import Gel, ball_press, surface_from_indenter
 from gelform.slopes.color_models import COLOR_MODELS
 from gelform.slopes.color_models.forward_response import RIDGES
-from made.images import halved
+from made.images import SlopesAsColors, halved
 
 
 def test_held_out_errors_are_those_of_new_presses(calibration, simulated):
@@ -341,16 +341,6 @@ def test_channels_that_presses_clip_are_kept(drafted, prepared, found):
 
 PITCH = 0.0634
 REST = np.zeros((240, 320, 3), np.float32)
-
-
-class SlopesAsColors:
-    """A color model whose color changes are the slopes themselves."""
-
-    def prepare(self, background, shape):
-        return self
-
-    def gradients_from_color(self, change):
-        return change[..., :2], None
 
 
 def relaxation_of(length, tilt=0.0, centers=((0, 0), (-2, 1), (3, -2)), strength=1.0):

@@ -47,7 +47,7 @@ from gelform.slopes.color_models import COLOR_MODELS, ForwardResponse, Hierarchi
 from gelform.slopes.color_models import polynomial as hierarchical
 from gelform.slopes.color_models.forward_response import RIDGES, TERMS, Step
 from gelform.slopes.color_models.seam import node_positions
-from made.images import ball_samples, lambertian_change
+from made.images import SlopesAsColors, ball_samples, lambertian_change
 
 
 @pytest.mark.parametrize("presses", [2, 3, 6, 12, 17, 18, 29, 30, 100])
@@ -116,20 +116,6 @@ def some(prepared, found):
     return [prepared[i] for i in chosen], [found[i] for i in chosen]
 
 
-class Reads:
-    """A model that reads the slopes that lie in the color change."""
-
-    def gradients_at(self, change, x_px, y_px):
-        return change[:, :2]
-
-    def prepare(self, background, shape):
-        assert background.shape == (*shape, 3)
-        return self
-
-    def gradients_from_color(self, color_change):
-        return np.ascontiguousarray(color_change[..., :2]), None
-
-
 def samples_with_errors(at_rest, per_slope, resting=0.4):
     """Samples whose color change is their slopes, read off by so much at rest, and by so much more with the slope."""
     samples = ball_samples(lambertian_change, count=20_000)
@@ -152,7 +138,7 @@ LEAST = LEAST_STEP_SIGMA  # of a model that is right everywhere, and of samples 
 )
 def test_a_steps_prior_is_what_the_model_is_off_by(at_rest, per_slope, resting, said):
     """At rest, and more by the slope: a quarter more than on the samples that it was fitted to; never none at all."""
-    found = step_sigma_of(Reads(), samples_with_errors(at_rest, per_slope, resting))
+    found = step_sigma_of(SlopesAsColors(), samples_with_errors(at_rest, per_slope, resting))
     assert found[0] == pytest.approx(STEP_SIGMAS * said, rel=0.02)
     assert found[1] == pytest.approx(STEP_SIGMAS * per_slope, rel=0.05, abs=0.01 if at_rest else 1e-9)
 
@@ -162,7 +148,7 @@ def test_a_model_that_errs_at_rest_alone_has_a_prior_at_rest():
     pressed = rests.gradients.any(axis=1, keepdims=True)
     exact = np.where(pressed, rests.gradients, rests.color_change[:, :2])
     right = replace(rests, color_change=np.concatenate([exact, exact[:, :1]], axis=1))
-    assert step_sigma_of(Reads(), right) == pytest.approx((STEP_SIGMAS * 0.02, 0), rel=0.02)
+    assert step_sigma_of(SlopesAsColors(), right) == pytest.approx((STEP_SIGMAS * 0.02, 0), rel=0.02)
 
 
 def test_a_response_for_each_ridge_knows_the_depth_that_the_model_reads(some, held_out):
@@ -220,7 +206,7 @@ def test_the_depth_is_that_of_the_slopes_that_the_model_reads(background):
     change = np.concatenate([slopes, slopes[..., :1]], axis=-1).astype(np.float32)
     size = np.linalg.norm(change, axis=-1)
     press = PreparedPress("bump", change, size, 40.0, find_contact(change), background=background)
-    found = SlopeReader(Reads(), press, 0.01).depth_px(press)
+    found = SlopeReader(SlopesAsColors(), press, 0.01).depth_px(press)
     np.testing.assert_allclose(found, depth, atol=0.3)
     assert found.min() == 0
 

@@ -61,6 +61,20 @@ def lambertian_change(gradients, x, y):
     return np.maximum(normals @ LIGHTS.T, 0) / LIGHTS[:, 2] - 1
 
 
+class SlopesAsColors:
+    """A color model whose color changes are the slopes themselves."""
+
+    def gradients_at(self, change, x_px, y_px):
+        return change[:, :2]
+
+    def prepare(self, background, shape):
+        assert background.shape == (*shape, 3)
+        return self
+
+    def gradients_from_color(self, change):
+        return np.ascontiguousarray(change[..., :2]), None
+
+
 def shading_change(gradients, x, y):
     """The same with lights that turn over the image, as near lights do."""
     turn = (x / SHAPE[1] - 0.5)[:, None] * np.array([0.3, -0.2, 0.25])
