@@ -69,17 +69,15 @@ def ball_center(
     y_px: Array,
     start_px: tuple[float, float],
     radius_px: float,
-    *,
-    scale: float = 0.05,
     rounds: int = 30,
 ) -> tuple[float, float]:
     """Center (x, y), px, of the ball of known radius with the slopes closest to gradients (N, 2).
 
-    It uses Gauss-Newton on a pseudo-Huber loss; `scale` is the slope error beyond which a pixel counts less.
+    It uses Gauss-Newton on a pseudo-Huber loss, where a pixel whose slope is off by more than 0.05 counts less.
     """
     center = np.array(start_px, dtype=np.float64)
     slopes, x, y = (np.ascontiguousarray(values, dtype=np.float64) for values in (gradients, x_px, y_px))
-    _ball_center(slopes, x, y, center, radius_px, scale, rounds)
+    _ball_center(slopes, x, y, center, radius_px, 0.05, rounds)
     return float(center[0]), float(center[1])
 
 
