@@ -17,7 +17,7 @@ from gelform.calibration.circles.find import (
     magnitude,
     training_samples,
 )
-from gelform.calibration.circles.locate import Located, refine
+from gelform.calibration.circles.locate import Located
 from gelform.calibration.coverage import FOLDS
 from gelform.calibration.selection import (
     LEAST_STEP_SIGMA,
@@ -211,16 +211,6 @@ def test_the_depth_is_that_of_the_slopes_that_the_model_reads(background):
     assert found.min() == 0
 
 
-@pytest.fixture(scope="module")
-def start(calibration):
-    """Another unit's model, far from what these presses say: slopes half as steep."""
-    shape = calibration.image_shape
-    rows, columns = (-(-(n - 1) // 16) + 1 for n in shape)
-    nodes = np.zeros((rows, columns, 19, 2))
-    nodes[..., :2, :] = 0.5 * np.array([[0.8, 0.3], [-0.3, 0.8]])
-    return HierarchicalModel(nodes, 3, shape)
-
-
 def test_held_out_presses_train_nothing_and_every_fold_has_both_balls(folds, prepared):
     held_out = [i for fold in folds for i in fold.held_out]
     assert sorted(held_out) == list(range(len(prepared)))
@@ -228,17 +218,6 @@ def test_held_out_presses_train_nothing_and_every_fold_has_both_balls(folds, pre
         assert not set(fold.held_out) & set(fold.training)
         assert len(fold.contacts) == len(fold.training)
         assert len({prepared[i].ball_radius_px for i in fold.training}) == 2
-
-
-@pytest.mark.slow
-def test_circles_are_refined_from_the_other_units_model(located, prepared, start):
-    fold = make_folds(replace(located, refined_by=start))[0]
-    training = [i for i in range(len(prepared)) if i not in fold.held_out]
-    training.sort(key=lambda i: prepared[i].ball_radius_px)
-    others = [prepared[i] for i in training]
-    own, alone = refine(others, start=start), refine(others)
-    assert fold.contacts == tuple(own.contacts[k] for k in own.accepted)
-    assert fold.contacts != tuple(alone.contacts[k] for k in alone.accepted)
 
 
 def of_some(located, usable):
