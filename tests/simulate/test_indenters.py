@@ -162,6 +162,8 @@ def test_a_pose_turns_the_indenter():
     lying = simulate_press(sensor, Cylinder(1.5, 3), **settings).depth_mm
     standing = simulate_press(sensor, Cylinder(1.5, 3), spin_deg=90, **settings).depth_mm
     np.testing.assert_allclose(standing, lying.T, atol=1e-4)
+    tilted = simulate_press(sensor, Punch(3.0, 3.0), tilt_deg=(0, 5), **settings)
+    assert np.median(tilted.gradients[tilted.contact][:, 0]) == pytest.approx(np.tan(np.deg2rad(5)), rel=1e-3)
 
 
 def test_a_spin_turns_from_right_to_down():

@@ -192,17 +192,6 @@ def test_steep_slopes_are_rendered_as_the_steepest_known(calibration):
     assert np.abs(look.color_change(steep, depth) - look.color_change(limit, depth)).max() > 0.02
 
 
-def test_the_depth_changes_the_color_in_millimeters(calibration):
-    """Level gel that is pressed 0.3 mm deep: the response counts pixels, of whatever width."""
-    level, depth = np.zeros((*calibration.image_shape, 2), np.float32), np.full(calibration.image_shape, 0.3)
-    look = CalibratedLook(calibration)
-    found = look.color_change(level, depth)
-    assert np.abs(found).max() > 0.005
-    assert not look.color_change(level, 0 * depth).any()
-    wider = CalibratedLook(replace(calibration, mm_per_px=2 * calibration.mm_per_px))
-    np.testing.assert_allclose(wider.color_change(level, 2 * depth), found, atol=1e-6)
-
-
 def test_the_noise_is_that_of_the_images(calibration):
     uneven = replace(calibration, settings={"image_noise": [1.0, 2.0, 4.0]})
     for known in (calibration, uneven):
