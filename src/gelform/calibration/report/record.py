@@ -142,7 +142,7 @@ def _of_starter(selection: Selection, offered: Start | None) -> tuple[str, ...]:
             f"{offered.subject} was used. With under {NEEDED.edge.presses} presses no fit without it is tried.",
         )
     used = "was used" if selection.chosen.start is not None else "was not used"
-    errors = [float(np.exp(min(logs))) if logs else float("nan") for logs in (with_start, without)]
+    errors = [float(np.exp(min(logs))) for logs in (with_start, without)]
     return (
         f"{offered.subject} {used}. Held-out slopes are off by {errors[0]:.3f} with it and by {errors[1]:.3f} without it.",
     )
