@@ -163,7 +163,8 @@ def test_depth_is_that_of_known_pixels(pressed):
     numbers = pressed.numbers
     assert (numbers.peak, numbers.lowest) == (np.float32(0.9), np.float32(-0.2))
     assert (numbers.x_px, numbers.y_px) == (20, 5)
-    assert numbers.peak == pressed.peak_mm
+    lower = replace(pressed, depth=pressed.depth - 9)
+    assert (pressed.peak_mm, lower.peak_mm) == (numbers.peak, lower.numbers.peak)
     assert "3.77" not in repr(pressed)
     unknown = replace(pressed, known=np.zeros_like(pressed.known))
     assert unknown.numbers is None
