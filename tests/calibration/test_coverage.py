@@ -28,8 +28,8 @@ PAGE = Path(__file__).parents[2] / "docs" / "press-folder.md"
 
 
 def test_the_docs_show_the_table_and_enough_begins_at_the_number_of_its_row():
-    rows = re.findall(r"^\| (\d+) \| (.*) \| (.*) \|$", PAGE.read_text(encoding="utf-8"), re.M)
-    assert rows == [(str(need.presses), need.what, need.why) for need in NEEDED]
+    rows = re.findall(r"^\| (\d+) \| .* \| .* \|$", PAGE.read_text(encoding="utf-8"), re.M)
+    assert [int(number) for number in rows] == [need.presses for need in NEEDED]
     for need in NEEDED:
         assert (need.met(need.presses - 1), need.met(need.presses)) == (False, True)
 
