@@ -236,8 +236,9 @@ def test_py3dcal_metadata_beside_the_folders_and_what_is_given_goes_first(py3dca
 
 def test_spoilt_py3dcal(py3dcal):
     facts = py3dcal / "annotations" / "metadata.json"
-    spoilt = ['{"px_per_mm": 0, "probe_radius_mm": 2}', "{not json", "[" * 100_000]
-    for text in (*spoilt, '{"px_per_mm": 1' + "0" * 400 + ', "probe_radius_mm": 2}'):
+    numbers = (0, 2), ("1" + "0" * 400, 2), (1e-4, 2), (10, 150)  # a pitch of 10 m, a ball of 300 mm
+    spoilt = [f'{{"px_per_mm": {scale}, "probe_radius_mm": {radius}}}' for scale, radius in numbers]
+    for text in (*spoilt, "{not json", "[" * 100_000):
         facts.write_text(text)
         with pytest.raises(gelform.DataError, match="px_per_mm and probe_radius_mm > 0"):
             gelform.read_presses(py3dcal)

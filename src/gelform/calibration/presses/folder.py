@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gelform.calibration.geometry.scale import Scale
 from gelform.calibration.presses.press_set import (
-    Circle,
+    UNREAD,
     FlatPress,
     Press,
     Presses,
@@ -144,21 +144,10 @@ class ReadOptions:
 
 
 @dataclass(frozen=True)
-class Listed:
-    """A press before its image is read: of a ball, or of a flat punch if it has a height."""
-
-    name: str  # and all else as in `Press` or `FlatPress`
-    ball_diameter_mm: float = 0.0
-    label: Circle | None = None
-    center_px: tuple[float, float] | None = None
-    height_mm: float | None = None
-
-
-@dataclass(frozen=True)
 class PressSource:
     """Presses as a reader finds them; frames are (H, W, 3) uint8 as they are stored."""
 
-    listed: Sequence[Listed]
+    listed: Sequence[Press | FlatPress]  # before their images are read
     background: Path | NDArray[Any] | None = None  # of the gel at rest; None: the one in the folder
     # The frame of a number in the list; None: it is in the file of its name.
     frame: Callable[[int], NDArray[Any]] | None = None
@@ -283,7 +272,7 @@ def _presses_of_images(source: PressSource, place: Path, options: ReadOptions, p
         rest = background_in(place if place.is_dir() else place.parent)
     rest = options.in_rgb(read_background(rest) if isinstance(rest, Path) else rest)
     settings = options.settings(place, source.known)
-    flat_count = sum(listed.height_mm is not None for listed in source.listed)
+    flat_count = sum(isinstance(one, FlatPress) for one in source.listed)
     if flat_count == len(source.listed):
         others = f" beside {flat_count} of flat punches" if flat_count else ""
         why = "".join(f" {note}" for note in source.notes)
@@ -306,10 +295,10 @@ def _presses_of_images(source: PressSource, place: Path, options: ReadOptions, p
         sizes[one.name] = (frame.shape[0], frame.shape[1])
         if sizes[one.name] == frame_shape:
             image = np.ascontiguousarray(image_from_frame(frame, view))
-            if one.height_mm is None:
-                presses.append(Press(one.name, image, one.ball_diameter_mm, one.label, one.center_px))
+            if isinstance(one, Press):
+                presses.append(replace(one, image=image))
             else:
-                flats.append(FlatPress(one.name, image, one.height_mm))
+                flats.append(replace(one, image=image))
         progress(k + 1, len(source.listed), "reading presses")
     _check_one_size(sizes, frame_shape)
     more: dict[str, Any] = {"notes": source.notes, "flats": tuple(flats)}
@@ -389,7 +378,7 @@ def with_view(presses: Presses, view: View, source: str) -> Presses:
 
 def press_folder_source(folder: Path, options: ReadOptions) -> PressSource:
     """A press folder: `presses.csv` (image, ball_diameter_mm, optional labels, flat punches), `background.png`, images."""
-    listed: list[Listed] = []
+    listed: list[Press | FlatPress] = []
     left_out: Counter[str] = Counter()
     for where, row in table_rows(folder / "presses.csv", ("image", "ball_diameter_mm")):
         name, indenter = file_of(folder, row["image"]), row.get("indenter", "")
@@ -398,14 +387,14 @@ def press_folder_source(folder: Path, options: ReadOptions) -> PressSource:
             if all(row.get(column) for column in LABEL_COLUMNS):
                 x, y, radius = (number(row[column], column, where) for column in LABEL_COLUMNS)
                 label = (x, y, radius)
-            listed.append(Listed(name, diameter(row["ball_diameter_mm"], where), label))
+            listed.append(Press(name, UNREAD, diameter(row["ball_diameter_mm"], where), label))
         elif indenter == "flat" and row.get("height_mm"):
             height_mm = number(row["height_mm"], "height_mm", where)
             if not 0.01 <= height_mm <= 20:
                 raise DataError(
                     f"Expected height_mm of 0.01 to 20 mm, got {height_mm:g}. Is it in mm? ({where})"
                 )
-            listed.append(Listed(name, height_mm=height_mm))
+            listed.append(FlatPress(name, UNREAD, height_mm))
         else:  # not measured, or for evaluation by other means
             left_out["flat without height_mm" if indenter == "flat" else indenter] += 1
     notes = tuple(
@@ -438,7 +427,8 @@ def gs_sdk_source(folder: Path, options: ReadOptions) -> PressSource:
                     f"Expected center (x, y) and radius as numbers in {path}. Label the press again."
                 )
             label = (circle[0], circle[1], circle[2])
-        listed.append(Listed(f"{name}/gelsight.png", diameter(row["diameter(mm)"], where), label))
+        ball_mm = diameter(row["diameter(mm)"], where)
+        listed.append(Press(f"{name}/gelsight.png", UNREAD, ball_mm, label))
     return PressSource(listed)
 
 
@@ -501,13 +491,22 @@ def py3dcal_source(folder: Path, options: ReadOptions) -> PressSource:
             "too."
         )
     rest = options.background or _blank_in(folder / "blank_images")
-    facts = _py3dcal_facts(folder)
-    ball = options.ball_diameter_mm or check_ball_diameter(2 * facts["probe_radius_mm"])
+    places = [table.with_name("metadata.json"), folder / "metadata.json"]  # the package stores it in either
+    path = next((place for place in places if place.is_file()), places[0])
+    try:
+        facts = json.loads(bytes_of(path, "metadata of py3DCal", MAX_TEXT_BYTES))
+        names = ("px_per_mm", "probe_radius_mm")
+        px_per_mm, radius_mm = (check_positive(float(facts[name]), name) for name in names)
+        known = SensorSettings(folder.resolve().name, check_sensor_pitch(1 / px_per_mm))
+        ball = options.ball_diameter_mm or check_ball_diameter(2 * radius_mm)
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as problem:
+        raise DataError(
+            f"Expected px_per_mm and probe_radius_mm > 0 in {path}, got: {said(problem)}."
+        ) from problem
     listed = []
     for where, row in table_rows(table, ("img_name", "x_px", "y_px")):
         center = (number(row["x_px"], "x_px", where), number(row["y_px"], "y_px", where))
-        listed.append(Listed(f"probe_images/{row['img_name']}", ball, center_px=center))
-    known = SensorSettings(folder.resolve().name, check_sensor_pitch(1 / facts["px_per_mm"]))
+        listed.append(Press(f"probe_images/{row['img_name']}", UNREAD, ball, None, center))
     return PressSource(listed, rest, known=known)
 
 
@@ -521,19 +520,6 @@ def _blank_in(folder: Path) -> Path:
             "Take one, or name it with background= (--background)."
         )
     return images[0]
-
-
-def _py3dcal_facts(folder: Path) -> dict[str, float]:
-    """px_per_mm and probe_radius_mm; the package stores its metadata in either of two places."""
-    places = [folder / "annotations" / "metadata.json", folder / "metadata.json"]
-    path = next((place for place in places if place.is_file()), places[0])
-    try:
-        facts = json.loads(bytes_of(path, "metadata of py3DCal", MAX_TEXT_BYTES))
-        return {name: check_positive(float(facts[name]), name) for name in ("px_per_mm", "probe_radius_mm")}
-    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as problem:
-        raise DataError(
-            f"Expected px_per_mm and probe_radius_mm > 0 in {path}, got: {said(problem)}."
-        ) from problem
 
 
 def taxim_pack_in(path: Path) -> Path | None:
@@ -571,7 +557,8 @@ def taxim_source(path: Path, options: ReadOptions) -> PressSource:
         )
     ball = options.ball(str(pack))
     names = [str(name) for name in arrays.get("names", np.arange(len(images)))]
-    listed = [Listed(n, ball, (float(x), float(y), float(r))) for n, (x, y), r in zip(names, centers, radii)]
+    circles = zip(names, centers, radii)
+    listed = [Press(name, UNREAD, ball, (float(x), float(y), float(r))) for name, (x, y), r in circles]
     return PressSource(listed, rgb_from_bgr(arrays["f0"]), lambda k: rgb_from_bgr(images[k]))
 
 
@@ -586,7 +573,7 @@ def plain_source(folder: Path, options: ReadOptions) -> PressSource:
     images = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES]
     images = [p for p in images if p.stem != "background" and p.resolve() != rest_path.resolve()]
     ball = options.ball(f"{folder} has images but no presses.csv") if images else 0.0
-    return PressSource([Listed(path.name, ball) for path in images], rest_path)
+    return PressSource([Press(path.name, UNREAD, ball) for path in images], rest_path)
 
 
 def rows_by_folder(folder: Path) -> list[str]:
@@ -604,7 +591,7 @@ def stack_source(file: Path, options: ReadOptions) -> PressSource:
     """A TIFF of several pages, or an array of frames (`.npy`), of one ball, one press each."""
     image, count = images_of_stack(file)
     ball = options.ball(f"{file} has images but no presses.csv")
-    return PressSource([Listed(f"image {k}", ball) for k in range(count)], frame=image)
+    return PressSource([Press(f"image {k}", UNREAD, ball) for k in range(count)], frame=image)
 
 
 # How to tell each layout, and how to read it; of several that fit, the first.

@@ -27,15 +27,25 @@ if TYPE_CHECKING:
     from gelform.simulate import SimulatedPresses
 
 MIN_IMAGE_PX = 24  # of an image's height and width; a contact has no room in less
+UNREAD = np.empty((0, 0, 3), np.uint8)  # the image of a press that is listed, before it is read
 Circle = tuple[float, float, float]  # (center x, center y, radius), px
 
 
 @dataclass(frozen=True)
-class Press:
-    """One press of a ball; ValueError, TypeError: a diameter outside 0.1 to 200 mm."""
-
+class _Image:
     name: str  # path of the image below the folder, or its place in the film
     image: NDArray[Any]  # (H, W, 3) uint8, RGB, after the view
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the image's pixels."""
+        return pixels_digest(self.image)
+
+
+@dataclass(frozen=True, repr=False)
+class Press(_Image):
+    """One press of a ball; ValueError, TypeError: a diameter outside 0.1 to 200 mm."""
+
     ball_diameter_mm: float
     label: Circle | None = None  # (center x, center y, contact radius) in px of the image
     # (x, y) in px of the image, if only the center is known, from a stage
@@ -50,27 +60,15 @@ class Press:
     def __repr__(self) -> str:
         return f"Press({self.name}, ball {self.ball_diameter_mm:g} mm{', labeled' if self.label else ''})"
 
-    @cached_property
-    def digest(self) -> str:
-        """SHA-256 of the image's pixels."""
-        return pixels_digest(self.image)
 
-
-@dataclass(frozen=True)
-class FlatPress:
+@dataclass(frozen=True, repr=False)
+class FlatPress(_Image):
     """One press of a flat punch of known height, level on the gel."""
 
-    name: str  # path of the image below the folder
-    image: NDArray[Any]  # (H, W, 3) uint8, RGB, after the view
     height_mm: float  # of the middle of its face over the gel around it
 
     def __repr__(self) -> str:
         return f"FlatPress({self.name}, {self.height_mm:g} mm high)"
-
-    @cached_property
-    def digest(self) -> str:
-        """SHA-256 of the image's pixels."""
-        return pixels_digest(self.image)
 
 
 @dataclass(frozen=True)

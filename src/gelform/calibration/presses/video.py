@@ -334,7 +334,12 @@ def presses_in_film(
     mean = average if given is None else given
     assert mean is not None
     noise = noise if len(rests) >= MIN_STILL else None
-    return FilmedPresses(stills, mean, noise, images.view, (*_left_out(thumbs, found), *_drift(thumbs, rest)))
+    left_out = [
+        f"{thumbs.time_s[one.start]:.2f}-{thumbs.time_s[one.stop - 1]:.2f} s are left out: {one.reason}."
+        for one in found
+        if one.reason is not None
+    ]
+    return FilmedPresses(stills, mean, noise, images.view, (*left_out, *_drift(thumbs, rest)))
 
 
 def _analysed(
@@ -373,15 +378,6 @@ def _analysed(
             "down, hold it still for half a second, lift it, and go to the next place."
         )
     return rest, found
-
-
-def _left_out(thumbs: Thumbnails, found: list[Stretch]) -> list[str]:
-    """A note on each stretch without a still, with its times in the film."""
-    return [
-        f"{thumbs.time_s[one.start]:.2f}-{thumbs.time_s[one.stop - 1]:.2f} s are left out: {one.reason}."
-        for one in found
-        if one.reason is not None
-    ]
 
 
 def _drift(thumbs: Thumbnails, rest: NDArray[np.bool_]) -> list[str]:
