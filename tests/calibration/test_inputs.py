@@ -27,6 +27,7 @@ from gelform.calibration.inputs import (
     light_order_note,
     light_turn,
     notes_of,
+    radius_from_gradients,
     shape_notes,
     surround_notes,
 )
@@ -37,7 +38,7 @@ from gelform.calibration.start import Start, starter_start
 from gelform.calibration.starters import starter_from_calibration
 from gelform.errors import CalibrationError
 from gelform.image.view import View
-from gelform.result.metrics import ball_gradients, radius_from_gradients
+from gelform.result.metrics import ball_gradients
 from gelform.simulate import Led, exposed, simulate_ball_presses
 from made.images import halved
 

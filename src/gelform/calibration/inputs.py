@@ -14,7 +14,9 @@ from dataclasses import asdict, dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
+from gelform.arrays import Array, Map
 from gelform.calibration.circles.find import (
     PRESS_PIXELS,
     TRIAL_SAMPLES,
@@ -22,9 +24,11 @@ from gelform.calibration.circles.find import (
     PreparedPress,
     about_median,
     contact_samples,
+    distances_px,
     find_contact,
-    imprint_aspect,
     magnitude,
+    parabola_offset,
+    ring_mean,
     scale_of,
     training_samples,
     why_no_contact,
@@ -36,7 +40,6 @@ from gelform.calibration.start import Start
 from gelform.errors import CalibrationError
 from gelform.image.agreement import check_background_of_frames, orientation_if_doubtful
 from gelform.image.background import color_change_from_image, surround_finding
-from gelform.result.metrics import radius_from_gradients
 from gelform.sensors.profiles import PROFILES, SAME_SCALE, check_gel_width, light_order_of, scale_off_make
 from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
 
@@ -154,6 +157,24 @@ def _log_ratios(located: Located, members: Sequence[int], model: ColorModel) -> 
     return np.log([ratio for ratio in ratios if 0 < ratio < np.inf])
 
 
+def radius_from_gradients(gradients: Array, x_px: Array, y_px: Array) -> float:
+    """Radius, px, of the ball with the slopes closest to gradients (N, 2) at pixel positions (N,); the center is free.
+
+    The first two components of a ball's normals are `((x - cx)/R, (y - cy)/R)`. So 1/R is the slope of a line through them,
+    fitted by least squares with Huber weights. The radius is infinite or negative if the slopes show no ball.
+    """
+    slopes = np.asarray(gradients, dtype=np.float64)
+    normals = -slopes / np.sqrt(1 + np.sum(slopes**2, axis=1, keepdims=True))
+    place = np.stack([x_px, y_px], axis=1).astype(np.float64)
+    weight = np.ones(len(place))
+    for _ in range(8):  # later rounds move the radius by less than 0.1 %
+        away, turned = (v - np.average(v, axis=0, weights=weight) for v in (place, normals))
+        curvature = np.sum(weight[:, None] * away * turned) / np.sum(weight[:, None] * away**2)
+        error = np.linalg.norm(turned - curvature * away, axis=1)
+        weight = np.minimum(1, 0.05 / np.maximum(error, 1e-12))  # about the usual error of a component
+    return float(1 / curvature) if curvature else float("inf")
+
+
 # |log| of the median imprint's width over its height, and its standard errors. Six real sets have 0.10 or less, and 0.19 or
 # more where one side of their pixels is made 1.25 times as long.
 ELLIPTIC, ELLIPTIC_SIGMAS = 0.15, 3.0
@@ -232,8 +253,7 @@ def contact_in_background(presses: Presses) -> ContactCircle | None:
     found = find_contact(change)
     if why_no_contact(found) is not None:
         return None
-    rows, cols = np.ogrid[: change.shape[0], : change.shape[1]]
-    inside = np.hypot(cols - found.x_px, rows - found.y_px) < 1.2 * found.radius_px
+    inside = distances_px(change.shape, found.x_px, found.y_px) < 1.2 * found.radius_px
     size = magnitude(about_median(change))
     rougher = _roughness(presses.background, inside) / max(_roughness(untouched, inside), 1e-9)
     return found if size[inside].mean() > 0.08 and rougher > 1.3 else None
@@ -297,6 +317,19 @@ def shape_notes(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCir
         f"Imprints are {np.exp(abs(middle)):.2f} times {how}: pixels are not square? Then give mm_per_px = [x, y] in "
         "sensor.toml. Or the camera looks at an angle: gelform lens.",
     )
+
+
+def imprint_aspect(size: Map, contact: ContactCircle) -> float:
+    """Width of an imprint over its height, from |change|: that of the ellipses at which the ring mean falls most steeply."""
+    scale, falls, logs = scale_of(size.shape), [], np.linspace(-0.4, 0.4, 9)
+    low, high = int(0.6 * contact.radius_px), int(1.4 * contact.radius_px + 2 * scale)
+    for aspect in np.exp(logs):
+        rings = ring_mean(size, contact.x_px, contact.y_px, float(aspect))
+        slope = gaussian_filter1d(rings, 2 * scale, order=1)
+        falls.append(-float(slope[low : min(high, len(slope) - int(5 * scale))].min(initial=0.0)))
+    best = int(np.argmax(falls))
+    offset = parabola_offset(np.array(falls), best)
+    return float(np.exp(logs[best] + float(logs[1] - logs[0]) * offset))
 
 
 def _scale_notes(presses: Presses) -> tuple[str, ...]:

@@ -81,24 +81,6 @@ def ball_center(
     return float(center[0]), float(center[1])
 
 
-def radius_from_gradients(gradients: Array, x_px: Array, y_px: Array) -> float:
-    """Radius, px, of the ball with the slopes closest to gradients (N, 2) at pixel positions (N,); the center is free.
-
-    The first two components of a ball's normals are `((x - cx)/R, (y - cy)/R)`. So 1/R is the slope of a line through them,
-    fitted by least squares with Huber weights. The radius is infinite or negative if the slopes show no ball.
-    """
-    slopes = np.asarray(gradients, dtype=np.float64)
-    normals = -slopes / np.sqrt(1 + np.sum(slopes**2, axis=1, keepdims=True))
-    place = np.stack([x_px, y_px], axis=1).astype(np.float64)
-    weight = np.ones(len(place))
-    for _ in range(8):  # later rounds move the radius by less than 0.1 %
-        away, turned = (v - np.average(v, axis=0, weights=weight) for v in (place, normals))
-        curvature = np.sum(weight[:, None] * away * turned) / np.sum(weight[:, None] * away**2)
-        error = np.linalg.norm(turned - curvature * away, axis=1)
-        weight = np.minimum(1, 0.05 / np.maximum(error, 1e-12))  # about the usual error of a component
-    return float(1 / curvature) if curvature else float("inf")
-
-
 def center_jacobian(ball: Numbers, radius_px: float | Numbers) -> Numbers:
     """Derivative (N, 2, 2) of a ball's slopes by its center: `(1 + p^2, p q; p q, 1 + q^2) sqrt(1 + p^2 + q^2)/R`.
 

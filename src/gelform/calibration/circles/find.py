@@ -200,10 +200,10 @@ def prepare(presses: Presses, *, progress: Progress = no_progress) -> list[Prepa
         size = magnitude(about_median(change))
         ball_px = press.ball_diameter_mm / 2 / presses.mm_per_px
         mark = press.label if press.center_px is None else (*press.center_px, None)
-        made = PreparedPress(
-            press.name, change, size, ball_px, find_contact(change), usable, presses.background
+        found, rest = find_contact(change), presses.background
+        prepared.append(
+            PreparedPress(press.name, change, size, ball_px, found, usable, rest, mark=mark, refused=refused)
         )
-        prepared.append(replace(made, mark=mark, refused=refused))
         progress(done + 1, len(changes), "finding contact circles")
     return with_contacts(prepared)
 
@@ -251,9 +251,7 @@ def untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[Contac
     """Largest color change (of 99 % of the pixels) at rest, beyond three contact radii."""
     sizes = []
     for press, contact in zip(presses, contacts):
-        height, width = press.size.shape
-        rows, cols = np.ogrid[:height, :width]
-        far = (cols - contact.x_px) ** 2 + (rows - contact.y_px) ** 2 > (3 * contact.radius_px) ** 2
+        far = distances_px(press.size.shape, contact.x_px, contact.y_px) > 3 * contact.radius_px
         if far.any():
             sizes.append(float(np.percentile(press.size[far], 99.0)))
     return float(np.median(sizes)) if sizes else USUAL_UNTOUCHED_CHANGE
@@ -262,6 +260,12 @@ def untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[Contac
 def scale_of(shape: tuple[int, int]) -> float:
     """Factor for lengths in pixels: 1 for a frame whose shorter side is 240 px."""
     return min(shape) / 240
+
+
+def distances_px(shape: tuple[int, ...], x_px: float, y_px: float) -> Array:
+    """Distance (H, W) of each pixel of an image (H, W, ...) from a point, px."""
+    rows, cols = np.ogrid[: shape[0], : shape[1]]
+    return np.asarray(np.hypot(cols - x_px, rows - y_px))
 
 
 def about_median(color_change: Map) -> Map:
@@ -331,12 +335,6 @@ def marked_contact(
     return replace(found, x_px=x_px, y_px=y_px, radius_px=radius, signal=signal, marked=True)
 
 
-def moved(contact: ContactCircle, size: Map, x_px: float, y_px: float) -> ContactCircle:
-    """The contact with another center, and its radius measured again about it."""
-    radius = contact_radius(size, x_px, y_px, contact.radius_px)
-    return replace(contact, x_px=x_px, y_px=y_px, radius_px=radius)
-
-
 def why_no_contact(contact: ContactCircle) -> str | None:
     """The reason that a found circle is not a ball press, or None."""
     if contact.marked or (contact.evidence is not None and contact.evidence >= MIN_EVIDENCE):
@@ -364,19 +362,6 @@ def contact_radius(size: Map, x_px: float, y_px: float, near_px: float | None = 
     return peak + parabola_offset(slope, peak)
 
 
-def imprint_aspect(size: Map, contact: ContactCircle) -> float:
-    """Width of an imprint over its height, from |change|: that of the ellipses at which the ring mean falls most steeply."""
-    scale, falls, logs = scale_of(size.shape), [], np.linspace(-0.4, 0.4, 9)
-    low, high = int(0.6 * contact.radius_px), int(1.4 * contact.radius_px + 2 * scale)
-    for aspect in np.exp(logs):
-        rings = ring_mean(size, contact.x_px, contact.y_px, float(aspect))
-        slope = gaussian_filter1d(rings, 2 * scale, order=1)
-        falls.append(-float(slope[low : min(high, len(slope) - int(5 * scale))].min(initial=0.0)))
-    best = int(np.argmax(falls))
-    offset = parabola_offset(np.array(falls), best)
-    return float(np.exp(logs[best] + float(logs[1] - logs[0]) * offset))
-
-
 def ring_mean(
     values: Map, x_px: float, y_px: float, aspect: float = 1.0, count: int | None = None
 ) -> Numbers:
@@ -395,9 +380,7 @@ def ring_mean(
 
 
 def _signal(size: Map, x: float, y: float, radius: float) -> float:
-    height, width = size.shape
-    rows, cols = np.ogrid[:height, :width]
-    rho = np.hypot(cols - x, rows - y) / radius
+    rho = distances_px(size.shape, x, y) / radius
     inside, outside = size[(rho > 0.4) & (rho < 0.9)], size[rho > 1.6]
     if not inside.size or not outside.size:
         return float("inf") if inside.size else 0.0
@@ -453,10 +436,9 @@ def _noise(pictures: Map, circles: Sequence[Circle | None]) -> Map:
     own = np.maximum(1.4826 * np.median(size, axis=(1, 2)), 0.01)[:, None, None]  # of the color change
     if len(size) < 3 or any(one is None for one in circles):
         return np.broadcast_to(own, size.shape).astype(np.float32)
-    rows, cols = np.mgrid[: size.shape[1], : size.shape[2]]
     for one, circle in zip(size, circles):
         assert circle is not None
-        one[np.hypot(cols - circle[0], rows - circle[1]) < 1.2 * circle[2]] = np.nan
+        one[distances_px(one.shape, *circle[:2]) < 1.2 * circle[2]] = np.nan
     seen = np.isfinite(size[..., 0]).any(axis=0)
     common = np.zeros(size.shape[1:], np.float32)
     common[seen] = np.nanquantile(size[:, seen], 0.7, axis=0)
@@ -524,8 +506,7 @@ def _refined(change: Map, noise: Map, circle: Circle) -> Circle:
         picture, there = _resized(change[part], factor), _resized(noise[part], factor)
         across = picture.shape[1] / change[part].shape[1], picture.shape[0] / change[part].shape[0]
         at = _scaled((x - left, y - top, radius), *across, factor)
-        rows, cols = np.mgrid[: picture.shape[0], : picture.shape[1]]
-        near = np.hypot(cols - at[0], rows - at[1]) < 0.5 * FINE
+        near = distances_px(picture.shape, *at[:2]) < 0.5 * FINE
         radii = FINE * np.geomspace(low, high, 7)
         best, _ = _peak(np.stack([_evidence(picture, there, r, 0.0) for r in radii]), radii, near)
         x, y, radius = _scaled(best, 1 / across[0], 1 / across[1], 1 / factor)

@@ -40,7 +40,6 @@ from gelform.calibration.circles.find import (
     contact_radius,
     contact_samples,
     joined,
-    moved,
     prepare,
     ring_mean,
     scale_of,
@@ -278,6 +277,12 @@ def _jointly_centered(
             x, y = contacts[i].x_px + float(dx), contacts[i].y_px + float(dy)
             contacts[i] = moved(contacts[i], presses[i].size, x, y)
     return contacts
+
+
+def moved(contact: ContactCircle, size: Map, x_px: float, y_px: float) -> ContactCircle:
+    """The contact with another center, and its radius measured again about it."""
+    radius = contact_radius(size, x_px, y_px, contact.radius_px)
+    return replace(contact, x_px=x_px, y_px=y_px, radius_px=radius)
 
 
 def fit_model(
