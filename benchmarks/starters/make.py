@@ -20,11 +20,9 @@ from gelform.calibration.circles.find import (
     ColorChanges,
     ContactCircle,
     PreparedPress,
-    contact_samples,
     joined,
     prepared_with,
     training_samples,
-    with_rest_samples,
 )
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.inputs import INNER
@@ -229,9 +227,8 @@ def common_models(
             light, presses.mm_per_px
         )
         reader = SlopeReader(model, one[0][0], calibration.untouched_change)
-        depths = [reader.depth_px(press) for press in one[0]]
-        inside = contact_samples(*one, depths_px=depths)
-        deep.append(as_first(with_rest_samples(inside, *one, depths), mean, presses))
+        known = [replace(press, depth_px=reader.depth_px(press)) for press in one[0]]
+        deep.append(as_first(training_samples(known, one[1]), mean, presses))
     samples = joined(deep)
     ridge = made.settings.step_ridge or RIDGES[0]
     (forward,) = ForwardResponse.fit_each(samples, [ridge], step_sigma=step_sigma_of(common, samples))

@@ -187,8 +187,8 @@ def fitted_responses(
 
     The model was fitted on the same presses, from the same start; about `total` pixels are used.
     """
-    depths = [reader.depth_px(press) for press in presses]
-    samples = training_samples(presses, contacts, total=total, depths_px=depths)
+    presses = [replace(press, depth_px=reader.depth_px(press)) for press in presses]
+    samples = training_samples(presses, contacts, total=total)
     sigma = step_sigma_of(reader.model, samples)
     forward = None if start is None else start.forward
     return ForwardResponse.fit_each(samples, ridges, step_sigma=sigma, start=forward)

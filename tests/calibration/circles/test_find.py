@@ -200,16 +200,14 @@ def test_presses_share_the_samples_and_rest_gives_half_as_many():
 def test_depths_come_with_the_pixels_that_they_belong_to():
     depth = np.arange(SMALL[0] * SMALL[1], dtype=np.float32).reshape(SMALL)
     contacts = [ContactCircle(20.0, 30.0, 10.0, 1.0, 9.0), ContactCircle(55.0, 30.0, 10.0, 1.0, 9.0)]
-    presses, depths = [press_of(), press_of()], [depth, -depth]
-    inside = contact_samples(presses, contacts, depths_px=depths)
-    samples = training_samples(presses, contacts, depths_px=depths)
+    presses = [replace(press_of(), depth_px=one) for one in (depth, -depth)]
+    inside, samples = contact_samples(presses, contacts), training_samples(presses, contacts)
     assert len(samples.depth_px) == len(samples.x_px) > len(inside.x_px)
     at = samples.y_px.astype(int), samples.x_px.astype(int)
     np.testing.assert_array_equal(np.abs(samples.depth_px), depth[at])
     own = within(contacts[1], 10.0)[at]  # of the second press, but for what both leave untouched
     assert (samples.depth_px[: len(inside.x_px)] < 0).tolist() == own[: len(inside.x_px)].tolist()
-    assert contact_samples(presses, contacts).depth_px is None
-    assert training_samples(presses, contacts).depth_px is None
+    assert training_samples([press_of()], contacts).depth_px is None
 
 
 @pytest.mark.parametrize("ratio", [0.5, USUAL_EDGE, 1.0])

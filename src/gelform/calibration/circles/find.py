@@ -112,6 +112,7 @@ class PreparedPress:
     # (x, y, radius) px of the circle by a person; (x, y, None) of a stage's center; or None
     mark: tuple[float, float, float | None] | None = None
     refused: str | None = None  # the reason that the image is not of this background, or None
+    depth_px: Map | None = None  # (H, W), from a color model, once forward responses are fitted
 
     def contact_radius(self, contact: ContactCircle) -> float:
         """Radius, px, up to which the gel follows the ball."""
@@ -145,11 +146,12 @@ class PreparedPress:
         """The slopes that a color model reads there."""
         return model.gradients_at(self.color_change[rows, cols], cols, rows)
 
-    def samples(
-        self, rows: Array, cols: Array, gradients: Numbers, weight: float, depth_px: Array | None = None
-    ) -> Samples:
-        """Pixels of known gradients (N, 2), all of one weight, with their depths if those (H, W) are given."""
-        weights, depth = np.full(len(rows), weight), None if depth_px is None else depth_px[rows, cols]
+    def samples(self, rows: Array, cols: Array, gradients: Numbers, weight: float) -> Samples:
+        """Pixels of known gradients (N, 2), all of one weight, with their depths if those are known."""
+        weights, depth = (
+            np.full(len(rows), weight),
+            None if self.depth_px is None else self.depth_px[rows, cols],
+        )
         change, shape = self.color_change[rows, cols], self.size.shape
         return Samples(change, cols, rows, gradients, weights, shape, self.background, depth)
 
@@ -530,17 +532,12 @@ def contact_samples(
     zone: float = ZONE,
     *,
     total: int = TOTAL_SAMPLES,
-    depths_px: Sequence[Array] | None = None,
 ) -> Samples:
-    """Samples inside the contacts, labeled by the balls: about `total`, shared evenly by the presses.
-
-    `depths_px`, of each press (H, W), are kept as the samples' depths.
-    """
+    """Samples inside the contacts, labeled by the balls: about `total`, shared evenly by the presses."""
     parts = []
-    for k, (press, contact) in enumerate(zip(presses, contacts)):
+    for press, contact in zip(presses, contacts):
         rows, cols = press.pixels(contact, zone, max(200, total // len(presses)))
-        depth = None if depths_px is None else depths_px[k]
-        parts.append(press.samples(rows, cols, press.ball_gradients(contact, rows, cols), 1.0, depth))
+        parts.append(press.samples(rows, cols, press.ball_gradients(contact, rows, cols), 1.0))
     return joined(parts)
 
 
@@ -550,32 +547,26 @@ def training_samples(
     zone: float = ZONE,
     *,
     total: int = TOTAL_SAMPLES,
-    depths_px: Sequence[Array] | None = None,
 ) -> Samples:
     """The samples that models are fitted on: pixels inside the contacts, as `contact_samples`, and pixels at rest."""
-    inside = contact_samples(presses, contacts, zone, total=total, depths_px=depths_px)
-    return with_rest_samples(inside, presses, contacts, depths_px)
+    return with_rest_samples(contact_samples(presses, contacts, zone, total=total), presses, contacts)
 
 
 def with_rest_samples(
-    samples: Samples,
-    presses: Sequence[PreparedPress],
-    contacts: Sequence[ContactCircle],
-    depths_px: Sequence[Array] | None = None,
+    samples: Samples, presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]
 ) -> Samples:
     """The samples and up to half as many of the gel at rest, where the gradient is 0, with a weight of 0.3."""
     parts = [samples]
-    for k, (press, contact) in enumerate(zip(presses, contacts)):
+    for press, contact in zip(presses, contacts):
         step = max(1, int(np.sqrt(2 * press.size.size * len(presses) / len(samples.x_px))))
         rows, cols = (
             axis.ravel() for axis in np.mgrid[: press.size.shape[0] : step, : press.size.shape[1] : step]
         )
-        distance = np.hypot(cols - contact.x_px, rows - contact.y_px)
-        far = distance > REST_DISTANCE * contact.radius_px
+        far = np.hypot(cols - contact.x_px, rows - contact.y_px) > REST_DISTANCE * contact.radius_px
         if press.usable is not None:
             far &= press.usable[rows, cols]
-        rows, cols, depth = rows[far], cols[far], None if depths_px is None else depths_px[k]
-        parts.append(press.samples(rows, cols, np.zeros((len(rows), 2)), 0.3, depth))
+        rows, cols = rows[far], cols[far]
+        parts.append(press.samples(rows, cols, np.zeros((len(rows), 2)), 0.3))
     return joined(parts)
 
 
