@@ -77,6 +77,9 @@ def test_the_place_without_a_press_is_named_first():
         added = coverage_from_circles([*circles, (place.x_px, place.y_px, 25.0)], SHAPE)
         assert added.fraction > coverage.fraction
         assert (added.counts[row, col] > 0).sum() >= 6
+    for x, y, opposite in ((30, 30, "bottom right"), (290, 30, "bottom left"), (30, 210, "top right")):
+        (place,) = press_next(coverage_from_circles([(x, y, 25.0)], SHAPE), 1)
+        assert place.name == opposite, "of equal places the farthest"
 
 
 @pytest.mark.slow

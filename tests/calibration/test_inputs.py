@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.circles.find import find_contact, prepare
+from gelform.calibration.circles.find import ContactCircle, find_contact, prepare
 from gelform.calibration.circles.locate import Located, Refined, light_notes, locate, refine
 from gelform.calibration.inputs import (
     MOST_SIGMAS,
@@ -22,6 +22,7 @@ from gelform.calibration.inputs import (
     ball_readings,
     check_inputs,
     contact_in_background,
+    imprint_aspect,
     imprint_notes,
     input_notes,
     light_order_note,
@@ -436,6 +437,14 @@ def imprints(presses, wide=1.0, high=1.0):
     prepared = prepare(altered(presses, resized, resized))
     refined = refine(prepared)
     return shape_notes(*refined.of_accepted(prepared))
+
+
+@pytest.mark.parametrize(("wide", "high"), [(30, 24), (24, 30), (27, 27)])
+def test_the_aspect_of_an_ellipse_comes_back(wide, high):
+    y, x = np.mgrid[:120, :160]
+    size = (np.hypot((x - 80.3) / wide, (y - 60.2) / high) < 1).astype(np.float32)
+    contact = ContactCircle(80.3, 60.2, (wide * high) ** 0.5, 1.0, 9.0)
+    assert imprint_aspect(size, contact) == pytest.approx(wide / high, rel=0.01)
 
 
 @pytest.mark.slow

@@ -123,6 +123,13 @@ def test_a_short_film_tells_its_lag_though_it_has_too_few_frames_at_the_largest(
     assert read_loads(table("image,object,grasp,frame,force_n", rows), calibration).lag_frames == 2
 
 
+def test_a_film_of_one_load_tells_no_lag(table, calibration):
+    rows = [(f"{k}.png", "ball", 0, k, 1.5) for k in range(11)]
+    found = read_loads(table("image,object,grasp,frame,force_n", rows), calibration)
+    assert found.lag_frames is None
+    assert [load.normal_n for load in found.loads] == [1.5] * 11
+
+
 def test_a_log_with_times(table, calibration, volumes):
     seconds = 0.1 * np.arange(len(volumes))
     log = [(t, K * np.interp(t - 0.2, seconds, volumes)) for t in np.arange(0, 3.5, 0.01)]
@@ -152,23 +159,18 @@ BAD = {
     "no column": (("image,object,weight", [("1.png", "ball", 3)]), "force_n"),
     "no number": (("image,object,force_n", [("1.png", "ball", "much")]), "a number"),
     "no image": (("image,object,force_n", [("gone.png", "ball", 3)]), "gone.png"),
+    "another size": (("image,object,force_n", [("odd.png", "ball", 3)]), "odd"),
 }
 
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_folders_get_a_sentence(table, calibration, tmp_path, name):
     given, said = BAD[name]
+    cv2.imwrite(str(tmp_path / "odd.png"), np.full((50, 60, 3), 90, np.uint8))
     if given is not None:
         table(*given)
     with pytest.raises(DataError, match=said):
         read_loads(tmp_path, calibration)
-
-
-def test_an_image_of_another_size(table, calibration, tmp_path):
-    folder = table("image,object,force_n", [("odd.png", "ball", 3)])
-    cv2.imwrite(str(folder / "odd.png"), np.full((50, 60, 3), 90, np.uint8))
-    with pytest.raises(DataError, match="odd"):
-        read_loads(folder, calibration)
 
 
 def test_a_calibration_keeps_its_forces_and_its_digest(table, calibration, volumes, film, tmp_path):

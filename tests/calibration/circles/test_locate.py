@@ -32,6 +32,7 @@ from gelform.calibration.circles.locate import (
     ROUNDS,
     Refined,
     contact_radius_ratio,
+    count_presses,
     edge_of_gains,
     joint_moves,
     light_notes,
@@ -173,6 +174,7 @@ def test_one_picture_saved_in_two_ways_is_one_press(presses, how):
     both = replace(four, presses=(*four.presses, *(saved_again(one, how) for one in four.presses)))
     assert {frozenset(pair) for pair in repeated(both).items()} == {frozenset((k, k + 4)) for k in range(4)}
     assert repeated(four) == {}
+    assert count_presses(both) == 4
 
 
 def kept(presses, circles, balls=(60.0,) * 9):
@@ -244,13 +246,6 @@ def test_a_ball_that_is_stated_half_as_large_is_named(prepared, found):
     assert of == len(prepared)
     named = BALL_FACTORS[abs(BALL_FACTORS - factor).argmin()]
     assert len(refine(stated(small, named)).accepted) == count >= NEARLY_ALL * len(prepared)
-
-
-def test_of_the_right_ball_nothing_is_said(prepared, found, monkeypatch):
-    """Nor is another one looked for."""
-    refined = refine(prepared)
-    monkeypatch.setattr(module, "refine", None)
-    assert other_ball_note(prepared, refined) is None
 
 
 def test_circles_by_hand_of_other_places_and_sizes_are_named(prepared, found):

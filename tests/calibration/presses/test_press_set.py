@@ -218,14 +218,12 @@ def test_py3dcal_folder(py3dcal, simulated):
 
 def test_py3dcal_before_its_annotation_says_what_is_missing(py3dcal):
     (py3dcal / "annotations" / "annotations.csv").rename(py3dcal / "annotations" / "probe_data.csv")
-    with pytest.raises(
-        gelform.DataError, match=r"annotations\.csv.* is missing\. probe_data\.csv .*Run py3DCal's annotate"
-    ):
-        gelform.read_presses(py3dcal)
-    shutil.move(py3dcal / "annotations" / "probe_data.csv", py3dcal / "probe_data.csv")
-    shutil.rmtree(py3dcal / "annotations")
-    with pytest.raises(gelform.DataError, match=r"is missing\. probe_data\.csv .*Run py3DCal's annotate"):
-        gelform.read_presses(py3dcal)
+    for moves in (False, True):
+        if moves:
+            shutil.move(py3dcal / "annotations" / "probe_data.csv", py3dcal / "probe_data.csv")
+            shutil.rmtree(py3dcal / "annotations")
+        with pytest.raises(DataError, match=r"\.csv.* is missing\. probe_data\.csv .*Run py3DCal's annotate"):
+            gelform.read_presses(py3dcal)
 
 
 def test_py3dcal_metadata_beside_the_folders_and_what_is_given_goes_first(py3dcal):
@@ -240,27 +238,26 @@ def test_spoilt_py3dcal(py3dcal):
     spoilt = [f'{{"px_per_mm": {scale}, "probe_radius_mm": {radius}}}' for scale, radius in numbers]
     for text in (*spoilt, "{not json", "[" * 100_000):
         facts.write_text(text)
-        with pytest.raises(gelform.DataError, match="px_per_mm and probe_radius_mm > 0"):
+        with pytest.raises(DataError, match="px_per_mm and probe_radius_mm > 0"):
             gelform.read_presses(py3dcal)
     facts.unlink()
-    with pytest.raises(gelform.DataError, match=r"No file .*metadata\.json"):
+    with pytest.raises(DataError, match=r"No file .*metadata\.json"):
         gelform.read_presses(py3dcal)
     facts.write_text('{"px_per_mm": 10, "probe_radius_mm": 2}')
     (py3dcal / "annotations" / "annotations.csv").write_text("img_name,x_mm,y_mm\na.png,1,2\n")
-    with pytest.raises(gelform.DataError, match="x_px, y_px missing"):
+    with pytest.raises(DataError, match="x_px, y_px missing"):
         gelform.read_presses(py3dcal)
     (py3dcal / "blank_images" / "blank.png").unlink()
-    with pytest.raises(gelform.DataError, match=r"No background in .*blank_images"):
+    with pytest.raises(DataError, match=r"No background in .*blank_images"):
         gelform.read_presses(py3dcal)
 
 
-@pytest.mark.parametrize("where", ["file", "folder"])
+@pytest.mark.parametrize("where", ["dataPack.npz", "."])
 def test_taxim_pack_is_turned_to_rgb(pack, simulated, where):
     arrays, path = pack
     np.savez(path, **arrays)
-    place = path if where == "file" else path.parent
-    assert kind_of_presses(place) == "Taxim dataPack"
-    read = gelform.read_presses(place, mm_per_px=0.1, ball_diameter_mm=5)
+    assert kind_of_presses(path.parent / where) == "Taxim dataPack"
+    read = gelform.read_presses(path.parent / where, **HOW)
     np.testing.assert_array_equal(read.background, simulated.background)
     for k, (press, true) in enumerate(zip(read.presses, simulated.presses)):
         np.testing.assert_array_equal(press.image, true.image)
@@ -274,7 +271,7 @@ def test_what_counts_as_a_taxim_pack(pack, tmp_path):
     np.savez(tmp_path / "else.npz", depth=np.zeros(3))
     assert kind_of_presses(tmp_path / "else.npz") is None
     (tmp_path / "text.npz").write_text("no archive")
-    with pytest.raises(gelform.DataError, match="a file of another kind"):
+    with pytest.raises(DataError, match="a file of another kind"):
         gelform.read_presses(tmp_path / "text.npz")
 
 
@@ -296,10 +293,10 @@ class Trap:
 def test_spoilt_taxim_packs_are_refused_and_never_unpickled(pack, changed, how, message):
     arrays, path = pack
     np.savez(path, **{name: one for name, one in {**arrays, **changed}.items() if one is not None})
-    with pytest.raises(gelform.DataError, match=message):
+    with pytest.raises(DataError, match=message):
         gelform.read_presses(path, **how)
     path.write_bytes(path.read_bytes()[:2000])
-    with pytest.raises(gelform.DataError, match="truncated or damaged"):
+    with pytest.raises(DataError, match="truncated or damaged"):
         gelform.read_presses(path, **HOW)
 
 
@@ -318,11 +315,10 @@ def test_a_member_of_a_taxim_pack_that_is_no_array_of_numbers_is_refused(pack, n
             stream = io.BytesIO()
             np.save(stream, array)
             archive.writestr(*((other, b"raw") if other == name else (f"{other}.npy", stream.getvalue())))
-    with pytest.raises(gelform.DataError, match=f"Expected {name} as an array of numbers"):
-        gelform.read_presses(path, mm_per_px=0.1, ball_diameter_mm=5.0)
-    np.savez(path, **{**arrays, name: np.array(["a", "b"])})
-    with pytest.raises(gelform.DataError, match=f"Expected {name} as an array of numbers"):
-        gelform.read_presses(path, mm_per_px=0.1, ball_diameter_mm=5.0)
+    np.savez(texts := path.with_name("texts.npz"), **{**arrays, name: np.array(["a", "b"])})
+    for spoilt in (path, texts):
+        with pytest.raises(DataError, match=f"Expected {name} as an array of numbers"):
+            gelform.read_presses(spoilt, **HOW)
 
 
 SETTINGS = SensorSettings(

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.circles.find import find_contact
 from gelform.calibration.presses.video import (
     Thumbnails,
     distances,
@@ -21,7 +20,6 @@ from gelform.calibration.presses.video import (
     touch_threshold,
     untouched,
 )
-from gelform.image.background import ChangeSettings, color_change_from_image
 from gelform.sensors.mcap import McapRecording
 from gelform.sensors.playback import RecordingFacts
 from gelform.simulate import (
@@ -312,14 +310,6 @@ def test_a_video_calibrates_nearly_as_well_as_stills(filmed, read):
     assert any("slid or rolled" in note for note in by_video.notes)
 
 
-def test_circles_of_the_stills_are_where_the_ball_was(filmed, read):
-    settings = ChangeSettings("divide", 10, 0.7)
-    found = [find_contact(color_change_from_image(p.image, read.background, settings)) for p in read.presses]
-    places = np.array([(contact.x_px, contact.y_px) for contact in found])
-    off = places - [true.center_px for true in filmed.stills.presses]
-    assert np.median(np.linalg.norm(off, axis=1)) < 1.0
-
-
 def test_a_background_that_is_given_is_used(filmed, sensor, tmp_path):
     first, last = filmed.holds[0][0] - RAMP, filmed.holds[2][1]
     write(tmp_path / "busy.avi", [f for k, f in enumerate(filmed.images[:last]) if k > first])
@@ -347,39 +337,30 @@ def test_a_video_of_blue_green_red_is_read_so(filmed, read, how, tmp_path):
     np.testing.assert_array_equal(given.background, filmed.stills.background)
 
 
-@pytest.mark.parametrize(
-    ("parts", "message"),
-    [
-        (["rest"], r"No contact in .*15 frames.* gray levels"),
-        (["slide"], r"No stretch of the gel at rest in .*two seconds"),
-        (["rest", "slide", "rest"], r"No press in .*none of the 1 contacts rests"),
-    ],
-)
-def test_a_video_without_a_press_is_refused_with_what_it_shows(filmed, tmp_path, parts, message):
-    first, last = filmed.slides[0]
-    shown = {"rest": filmed.images[:15], "slide": filmed.images[first:last]}
-    write(tmp_path / "a.avi", [image for part in parts for image in shown[part]])
-    with pytest.raises(gelform.DataError, match=message):
-        gelform.read_presses(tmp_path / "a.avi", ball_diameter_mm=5, mm_per_px=0.1)
-
-
-def test_a_video_needs_a_ball_and_a_scale(filmed):
-    with pytest.raises(gelform.DataError, match="which ball pressed"):
-        gelform.read_presses(filmed.path, mm_per_px=0.1)
-    with pytest.raises(gelform.DataError, match="No scale"):
-        gelform.read_presses(filmed.path, ball_diameter_mm=5)
-
-
-def test_frames_that_change_their_size_none_and_too_many(filmed, how, monkeypatch):
-    frames = frames_of(filmed.images)
-    odd = [*frames[:20], replace(frames[20], image=frames[20].image[:100])]
-    with pytest.raises(gelform.DataError, match="frames of one size, got 100x176 after 132x176"):
-        gelform.presses_from_frames(odd, **how)
-    with pytest.raises(gelform.DataError, match="No frame in"):
-        gelform.presses_from_frames([], **how)
+def test_frames_without_a_press_of_several_sizes_or_too_many_are_refused(filmed, how, monkeypatch):
+    """With what they show; so are those without a ball or a scale."""
+    frames, (first, last) = frames_of(filmed.images), filmed.slides[0]
     monkeypatch.setattr("gelform.calibration.presses.video.MAX_KEPT_BYTES", 20 * frames[0].image.nbytes)
-    with pytest.raises(gelform.DataError, match=r"more after 20 frames\. Record a video"):
-        gelform.presses_from_frames(iter(frames), **how)
+    for given, changed, message in (
+        (frames[:15], {}, r"No contact in .*15 frames.* gray levels"),
+        (frames[first:last], {}, r"No stretch of the gel at rest in .*two seconds"),
+        (
+            [*frames[:15], *frames[first:last], *frames[:15]],
+            {},
+            r"No press in .*none of the 1 contacts rests",
+        ),
+        (
+            [*frames[:20], replace(frames[20], image=frames[20].image[:100])],
+            {},
+            "size, got 100x176 after 132x176",
+        ),
+        ([], {}, "No frame in"),
+        (iter(frames), {}, r"more after 20 frames\. Record a video"),
+        (frames, {"ball_diameter_mm": None}, "which ball pressed"),
+        (frames, {"mm_per_px": None}, "No scale"),
+    ):
+        with pytest.raises(gelform.DataError, match=message):
+            gelform.presses_from_frames(given, **{**how, **changed})
 
 
 @pytest.mark.parametrize("time_s", [None, float("nan"), "0"])
