@@ -21,7 +21,6 @@ from gelform.calibration.circles.find import (
     _signal,
     about_median,
     change_settings,
-    change_without_markers,
     contact_radius,
     contact_samples,
     find_by_templates,
@@ -405,12 +404,6 @@ def dotted(sensor):
     return made, presses_from_simulated(made)
 
 
-def unmarked(image, background, settings):
-    """Its color change without markers, and which pixels are usable."""
-    rest = PreparedBackground(background, settings)
-    return change_without_markers(image, rest, None, MarkerFinder(background))
-
-
 def test_dots_that_were_dragged_are_left_out_where_they_are_and_where_they_were(sensor):
     images = []
     for pitch_mm in (0.0, 2.2):
@@ -421,7 +414,7 @@ def test_dots_that_were_dragged_are_left_out_where_they_are_and_where_they_were(
     (clean_rest, clean), (rest, press) = images
     assert np.abs(press.markers_shift_mm).max() > 0.3  # more than a dot's radius
     settings = ChangeSettings("divide", 10, 0.7)
-    change, usable = unmarked(press.image, rest, settings)
+    change, usable = ColorChanges(rest, settings)(press.image)
     wanted = color_change_from_image(clean.image, clean_rest, settings)
     raw = color_change_from_image(press.image, rest, settings)
     spoilt = np.abs(raw - wanted).mean(axis=-1)
@@ -439,9 +432,10 @@ def test_only_dots_are_left_out_and_a_blur_carries_nothing_of_them(blur_px):
     background = image_of_dots(grid(), noise=1.0)
     press = image_of_dots(np.add(grid(), [1.5, 0.5]), noise=3.0, seed=1)
     settings, finder = ChangeSettings("divide", 10, blur_px), MarkerFinder(background)
-    change, usable = unmarked(press, background, settings)
+    change, usable = ColorChanges(background, settings)(press)
     np.testing.assert_array_equal(~usable, finder.untouched.mask | finder(press).mask)
-    plain = PreparedBackground(background, settings).change(press)
+    rest = PreparedBackground(background, settings)
+    plain = rest.change(press, rest.compare(press)[0])
     far = cv2.erode(usable.view(np.uint8), np.ones((11, 11), np.uint8)) > 0
     assert np.count_nonzero(far) > 50
     np.testing.assert_allclose(change[far], plain[far], atol=2e-3)

@@ -36,7 +36,6 @@ from gelform.errors import CalibrationError, Progress, no_progress
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.image.agreement import check_background_of_frames
 from gelform.image.background import ChangeSettings, PreparedBackground
-from gelform.image.light import FrameLight
 from gelform.image.markers import MarkerFinder
 from gelform.result.metrics import ball_gradients, followed_radius
 from gelform.slopes.color_models import COLOR_MODELS, PLAIN_MODEL, ColorModel, Samples
@@ -157,32 +156,22 @@ class PreparedPress:
 
 
 class ColorChanges:
-    """Color changes of images from one background image (H, W, 3), 0-255; markers are bridged."""
+    """Color changes of images from one background image (H, W, 3), 0-255, smooth across markers."""
 
     def __init__(self, background: Map, settings: ChangeSettings) -> None:
         self._rest = PreparedBackground(background, settings)
         self._finder = MarkerFinder(background)
 
     def __call__(self, image: Array) -> tuple[Map, Mask | None]:
-        """The color change (H, W, 3) of an image, and the pixels off markers; None if all are.
+        """The color change (H, W, 3) of an image, and the pixels on no marker of either image.
 
-        CalibrationError: the background is not of this image.
+        The second is None on a gel without markers. CalibrationError: the background is not of this image.
         """
         light, _ = self._rest.compare(image)
-        return change_without_markers(image, self._rest, light, self._finder)
-
-
-def change_without_markers(
-    image: Array, rest: PreparedBackground, light: FrameLight | None, finder: MarkerFinder
-) -> tuple[Map, Mask | None]:
-    """The color change (H, W, 3) of an image, smooth across markers, and the pixels on no marker of either image.
-
-    The second is None on a gel without markers. `light` from `rest.compare(image)` is compensated, if it is not None.
-    """
-    if not len(finder.untouched):
-        return rest.change(image, light), None
-    hidden = finder.untouched.mask | finder(image).mask
-    return rest.change(rest.bridged(image, hidden), light), ~hidden
+        if not len(self._finder.untouched):
+            return self._rest.change(image, light), None
+        hidden = self._finder.untouched.mask | self._finder(image).mask
+        return self._rest.change(self._rest.bridged(image, hidden), light), ~hidden
 
 
 def change_settings(presses: Presses, offset: float = USUAL_OFFSET) -> ChangeSettings:
