@@ -85,7 +85,6 @@ class Coverage:
 
     shape: tuple[int, int]  # (H, W) of the images
     circles: tuple[Circle, ...]  # (x, y, contact radius) in px of the presses that count
-    zone: float  # fraction of the contact radius that counts
     # (rows, columns, 8) int, number of presses that show a direction in a tile; direction 0 rises to the right (dz/dx > 0),
     # the next ones turn clockwise by 45 degrees
     counts: Array
@@ -102,13 +101,13 @@ class Coverage:
 
 
 def coverage_from_circles(
-    circles: Sequence[Circle], shape: tuple[int, int], *, tiles: tuple[int, int] = COARSE, zone: float = 0.8
+    circles: Sequence[Circle], shape: tuple[int, int], *, tiles: tuple[int, int] = COARSE
 ) -> Coverage:
-    """Coverage of an image (H, W), on tiles (rows, columns), by `zone` of contact circles (x, y, radius), px."""
+    """Coverage of an image (H, W), on tiles (rows, columns), by contact circles (x, y, radius), px."""
     counts = np.zeros((*tiles, DIRECTIONS), dtype=np.int_)
     for circle in circles:
-        counts += shown_by(circle, shape, tiles, zone)
-    return Coverage(shape, tuple(circles), zone, counts)
+        counts += shown_by(circle, shape, tiles)
+    return Coverage(shape, tuple(circles), counts)
 
 
 def press_coverage(
@@ -144,12 +143,12 @@ def direction_of(gradients: Array) -> Array:
     return direction
 
 
-def shown_by(circle: Circle, shape: tuple[int, int], tiles: tuple[int, int], zone: float) -> Mask:
+def shown_by(circle: Circle, shape: tuple[int, int], tiles: tuple[int, int]) -> Mask:
     """The directions (rows, columns, 8) that a press shows in each tile, on at least 0.07 % of the image's pixels."""
     step = 2  # px between the counted pixels
     y, x = (axis.ravel() for axis in np.mgrid[: shape[0] : step, : shape[1] : step])
     rho = np.hypot(x - circle[0], y - circle[1]) / circle[2]
-    inside = (rho > 0.25) & (rho < zone)  # nearer to its center a ball is level
+    inside = (rho > 0.25) & (rho < 0.8)  # of the contact; nearer to its center a ball is level
     x, y = x[inside], y[inside]
     upwards = np.stack([circle[0] - x, circle[1] - y], axis=1)  # a ball is highest in the middle
     index = tile_of(x, y, shape, tiles) * DIRECTIONS + direction_of(upwards)
@@ -175,7 +174,7 @@ def press_next(
     )
     points = [(x, y) for y in ys for x in xs]
     tiles = counts.shape[0], counts.shape[1]
-    shown = np.array([shown_by((*point, radius), shape, tiles, coverage.zone) for point in points])
+    shown = np.array([shown_by((*point, radius), shape, tiles) for point in points])
     pressed = [(x, y) for x, y, _ in coverage.circles]
     places: list[PressPlace] = []
     for _ in range(count):
