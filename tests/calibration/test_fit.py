@@ -17,8 +17,9 @@ from gelform.calibration.circles.find import (
     PreparedPress,
     untouched_change,
 )
-from gelform.calibration.circles.locate import Located, Refined, check_places, contact_radius_ratio, refine
+from gelform.calibration.circles.locate import Located, Refined, contact_radius_ratio, refine
 from gelform.calibration.fit import face_height_mm, place_error_from_presses
+from gelform.calibration.inputs import check_places
 from gelform.calibration.presses.press_set import FlatPress
 from gelform.calibration.selection import (
     FIRST_GUESS,

@@ -191,9 +191,7 @@ def frames_of(press, count):
 @pytest.mark.parametrize(
     ("diameter", "error", "message"),
     [
-        (-1, ValueError, "ball_diameter_mm > 0, got -1"),
         (300, ValueError, "ball_diameter_mm up to 200 mm, got 300"),
-        (float("nan"), ValueError, "ball_diameter_mm > 0, got nan"),
         ("6", TypeError, "ball_diameter_mm as a number, got '6'"),
     ],
 )

@@ -14,10 +14,10 @@ import numpy as np
 
 from gelform.arrays import Map, Numbers
 from gelform.calibration.circles.find import ColorChanges, ContactCircle, find_contact, why_no_contact
-from gelform.calibration.circles.locate import check_places, light_notes, locate
+from gelform.calibration.circles.locate import locate
 from gelform.calibration.coverage import SAMPLED
 from gelform.calibration.held_out import errors_of, measure_held_out
-from gelform.calibration.inputs import ball_readings, check_inputs, input_notes, notes_of, surround_notes
+from gelform.calibration.inputs import ball_readings, check_inputs, check_places, first_notes, input_notes
 from gelform.calibration.presses.folder import Presses, as_presses, with_view
 from gelform.calibration.presses.press_set import Press
 from gelform.calibration.report.content import errors_where
@@ -80,8 +80,7 @@ def calibrate(
 
     located = locate(presses, first_unit, progress=progress)
     balls = ball_readings(located, known)
-    of_image = *surround_notes(presses), *light_notes(presses.background)
-    located = replace(located, notes=(*of_image, *notes_of(balls), *untried, *located.notes))
+    located = replace(located, notes=(*first_notes(presses, balls), *untried, *located.notes))
     check_places(located)
     folds = make_folds(located, progress=progress)
     fitted = fit(located, folds, color_model, compare=compare, progress=progress)

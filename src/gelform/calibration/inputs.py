@@ -8,6 +8,7 @@ either may be wrong.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 
@@ -33,7 +34,7 @@ from gelform.calibration.circles.find import (
     training_samples,
     why_no_contact,
 )
-from gelform.calibration.circles.locate import Located
+from gelform.calibration.circles.locate import Located, light_notes
 from gelform.calibration.coverage import NEEDED, SAMPLED, coverage_notes
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.start import Start
@@ -262,6 +263,33 @@ def contact_in_background(presses: Presses) -> ContactCircle | None:
 def _some(count: int) -> NDArray[np.intp]:
     """Up to `SAMPLED` numbers below a count, evenly spaced."""
     return np.unique(np.linspace(0, count - 1, min(count, SAMPLED)).round().astype(int))
+
+
+def first_notes(presses: Presses, readings: Sequence[BallReading]) -> tuple[str, ...]:
+    """Notes that an error for too few presses has too: the image's surround and light, and the ball's diameter."""
+    return *surround_notes(presses), *light_notes(presses.background), *notes_of(readings)
+
+
+def check_places(located: Located) -> None:
+    """Raise a CalibrationError if under three presses fit, with the reasons of the others."""
+    least, refined, presses = NEEDED.places.presses, located.refined, located.presses
+    if len(refined.accepted) >= least:
+        return
+    rejected = [(row.name, why) for row, why in zip(presses.presses, refined.reasons) if why is not None]
+    kinds: dict[str, list[str]] = {}
+    for name, why in rejected:  # reasons that differ only in figures are counted together
+        kinds.setdefault(re.sub(r"\d[\d.]*", "", why), []).append(f"{name}: {why}")
+    most = sorted(kinds.values(), key=len, reverse=True)[:4]
+    listed = "; ".join(f"{len(one)} like {one[0]}" for one in most)
+    circles = [refined.contacts[i].circle_px for i in refined.accepted]
+    remedy = "".join(f"{note} " for note in located.notes)
+    notes = coverage_notes(circles, presses.image_shape, started=located.start is not None)
+    raise CalibrationError(
+        f"Expected at least {least} presses of a ball that fit, got {len(refined.accepted)} of "
+        f"{len(presses.presses)} in {presses.folder}. Rejected: {listed or 'none'}. "
+        f"{remedy}Press a ball of known diameter firmly at many places, one image each, best not deeper than half its "
+        f"radius. {' '.join(notes)}"
+    )
 
 
 def input_notes(located: Located) -> tuple[str, ...]:

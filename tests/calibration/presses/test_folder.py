@@ -33,13 +33,6 @@ def rewrite(folder, change):
         csv.writer(file).writerows([header, *rows])
 
 
-def resize(folder, change):
-    """All images of a press folder in another size, which `change` makes of width and height."""
-    for path in [folder / "background.png", *(folder / "images").iterdir()]:
-        height, width = (image := cv2.imread(str(path))).shape[:2]
-        cv2.imwrite(str(path), cv2.resize(image, change(width, height), interpolation=cv2.INTER_CUBIC))
-
-
 def gs_sdk(folder, background, presses):
     """The presses as gs_sdk lays them out."""
     rows = ["experiment_reldir,diameter(mm)"]
@@ -113,16 +106,6 @@ def test_plain_folder_needs_a_ball_and_a_scale(copy, presses):
     np.testing.assert_array_equal(read.presses[0].image, presses.presses[0].image)
 
 
-def test_profile_gives_scale_and_view(copy):
-    (copy / "sensor.toml").unlink()
-    resize(copy, lambda *_: (336, 252))
-    read = gelform.read_presses(copy, sensor="gelsight-mini")
-    assert read.mm_per_px == 0.0634
-    assert read.image_shape == (240, 320)
-    assert read.presses[0].image.shape == (240, 320, 3)
-    assert read.view.frame_shape == (252, 336)
-
-
 @pytest.mark.slow
 def test_a_folder_of_a_make_s_images_calibrates_its_camera(tmp_path):
     """gs_sdk's folder holds 240x320 px; the camera gives 2464x3280, of which the make knows the way to them."""
@@ -146,7 +129,9 @@ def test_a_folder_of_a_make_s_images_calibrates_its_camera(tmp_path):
 @pytest.fixture
 def wide(copy):
     """The same folder from a camera whose pixels are 1.25 times as high as wide."""
-    resize(copy, lambda width, height: (5 * width // 4, height))
+    for path in [copy / "background.png", *(copy / "images").iterdir()]:
+        image = cv2.imread(str(path))
+        cv2.imwrite(str(path), cv2.resize(image, (220, 132), interpolation=cv2.INTER_CUBIC))
     return copy
 
 
@@ -417,6 +402,10 @@ def test_labels_move_with_their_pixels(sensor, bent):
         y = truth.center_mm[1] / sensor.mm_per_px + (sensor.shape[0] - 1) / 2
         assert press.label[:2] == pytest.approx((x, y), abs=0.05)
         assert press.digest not in {one.digest for one in presses.presses}
+    twice = with_view(presses, View(sensor.shape, image_shape=(264, 352)), "a size")
+    assert [press.label[2] for press in twice.presses] == pytest.approx(
+        [2 * p.label[2] for p in presses.presses]
+    )
 
 
 def test_a_scale_is_of_presses_or_of_those_at_a_path(folder, presses):

@@ -20,7 +20,6 @@ place.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -47,7 +46,7 @@ from gelform.calibration.circles.find import (
     why_no_contact,
     with_rest_samples,
 )
-from gelform.calibration.coverage import FOLDS, NEEDED, REFINING, coverage_notes
+from gelform.calibration.coverage import FOLDS, NEEDED, REFINING
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.start import Start
 from gelform.errors import CalibrationError, Progress, no_progress
@@ -134,28 +133,6 @@ def locate(presses: Presses, start: Start | None = None, *, progress: Progress =
         refined = refine(prepared, excluded=excluded, start=model, progress=progress)
     notes += () if other_ball is None else (other_ball,)
     return Located(presses, prepared, refined, repeated, start, model, notes)
-
-
-def check_places(located: Located) -> None:
-    """Raise a CalibrationError if under three presses fit, with the reasons of the others."""
-    least, refined, presses = NEEDED.places.presses, located.refined, located.presses
-    if len(refined.accepted) >= least:
-        return
-    rejected = [(row.name, why) for row, why in zip(presses.presses, refined.reasons) if why is not None]
-    kinds: dict[str, list[str]] = {}
-    for name, why in rejected:  # reasons that differ only in figures are counted together
-        kinds.setdefault(re.sub(r"\d[\d.]*", "", why), []).append(f"{name}: {why}")
-    most = sorted(kinds.values(), key=len, reverse=True)[:4]
-    listed = "; ".join(f"{len(one)} like {one[0]}" for one in most)
-    circles = [refined.contacts[i].circle_px for i in refined.accepted]
-    remedy = "".join(f"{note} " for note in located.notes)
-    notes = coverage_notes(circles, presses.image_shape, started=located.start is not None)
-    raise CalibrationError(
-        f"Expected at least {least} presses of a ball that fit, got {len(refined.accepted)} of "
-        f"{len(presses.presses)} in {presses.folder}. Rejected: {listed or 'none'}. "
-        f"{remedy}Press a ball of known diameter firmly at many places, one image each, best not deeper than half its "
-        f"radius. {' '.join(notes)}"
-    )
 
 
 def repeated_presses(presses: Presses, prepared: Sequence[PreparedPress]) -> dict[int, int]:
