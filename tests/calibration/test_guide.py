@@ -156,7 +156,8 @@ def test_the_same_place_again_is_rejected_with_the_reason(guide, see, press):
         see()
     facts = guide.facts()
     assert facts["count"] == 1
-    assert "before" in facts["rejected"][0][-1]
+    (rejected,) = facts["rejected"]
+    assert "before" in rejected[-1]
 
 
 def test_presses_fill_the_coverage_and_move_the_target_away(guide, see, press):
@@ -174,6 +175,8 @@ def test_presses_fill_the_coverage_and_move_the_target_away(guide, see, press):
     assert shares == sorted(shares)
     assert shares[-1] > shares[0] > 0
     assert len(targets) > 3
+    coverage = guide.facts()["coverage"]
+    assert sum(coverage["directions"]) == pytest.approx(8 * coverage["share"] * len(coverage["directions"]))
     made = guide.presses()
     assert len(made.presses) == LEAST
     assert (made.mm_per_px, made.make) == (guide.settings.mm_per_px, "gelsight-mini")

@@ -84,6 +84,8 @@ def test_presses_are_found_with_their_still_part():
         (still,) = stretch.stills
         assert start <= still.best < start + 8
         assert still.center_px == pytest.approx((x, y), abs=0.7)
+    faster = found_in(levels, rate_hz=100.0)[1]
+    assert not any(stretch.stills for stretch in faster), "8 frames are less than 0.2 s then"
 
 
 @pytest.mark.parametrize("speed", [0.3, 1.0])
