@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,6 @@ from gelform.calibration.circles.find import (
 )
 from gelform.calibration.coverage import NEEDED, Coverage, PressPlace, press_coverage, press_next
 from gelform.calibration.fit import calibrate
-from gelform.calibration.geometry.files import edited_toml
 from gelform.calibration.library import add_calibration
 from gelform.calibration.presses.press_set import (
     Circle,
@@ -41,7 +40,7 @@ from gelform.calibration.report.page import report_page
 from gelform.calibration.starters import starter_for, starter_names
 from gelform.calibration_file import Calibration
 from gelform.errors import CalibrationError, DataError, Finding, GelformError, Progress, cannot, no_progress
-from gelform.exchange.exporters.press_folder import save_press_folder
+from gelform.exchange.exporters.press_folder import save_press_folder, toml_of_settings
 from gelform.foundations.checks import check_sensor_pitch
 from gelform.foundations.files import made_folder, picture_bytes, written_file
 from gelform.image.background import USUAL_FRAMES, ChangeSettings, background_from_frames, surround_finding
@@ -134,17 +133,6 @@ def settings_of(
             mm_per_px, sigma = profile.mm_per_px, profile.mm_per_px_sigma
     assert mm_per_px is not None
     return SensorSettings(name, mm_per_px, sigma, make=make or "", serial=source.serial or "", view=view)
-
-
-def toml_of_settings(settings: SensorSettings) -> str:
-    """The text of a sensor.toml with the settings."""
-    top: dict[str, Any] = {"name": settings.name, "mm_per_px": settings.mm_per_px}
-    if settings.mm_per_px_sigma is not None:
-        top["mm_per_px_sigma"] = settings.mm_per_px_sigma
-    top |= {name: text for name in ("make", "serial", "gel_id") if (text := getattr(settings, name))}
-    tables: dict[tuple[str, ...], Mapping[str, Any]] = {(): top}
-    tables |= {("view",): settings.view.to_dict(), ("camera",): settings.camera}
-    return edited_toml("", {path: table for path, table in tables.items() if table})
 
 
 SMALL = 8  # px, width of the blocks that are compared for motion

@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.calibration.guide import TakenPresses, toml_of_settings
+from gelform.calibration.guide import TakenPresses
 from gelform.calibration.presses.folder import ReadOptions, kind_of_presses, read_presses
 from gelform.calibration.presses.press_set import table_rows
 from gelform.errors import DataError, SensorError
+from gelform.exchange.exporters.press_folder import toml_of_settings
 from gelform.image.view import View
 from gelform.sensors.files import SensorSettings, read_sensor_toml
 from gelform.sensors.profiles import PROFILES

@@ -25,12 +25,13 @@ from gelform.exchange.exporters.press_folder import (
     save_simulated_press,
     save_simulated_presses,
     save_simulated_set,
+    toml_of_settings,
     write_csv,
     write_png,
-    write_sensor_toml,
     written_whole,
 )
 from gelform.sensors import read_sensor_toml, sensor_from_settings
+from gelform.sensors.files import SensorSettings
 from gelform.simulate import LAYOUTS, Coating, Coin, Twin, simulate_ball_presses, simulate_press
 
 
@@ -49,7 +50,7 @@ def test_names_like_formulas_come_back_from_the_table(tmp_path):
     assert text.splitlines()[1:4] == ["'=1+1.png,4", "'-3.png,4", "''=x.png,4"]
     for name in ("background.png", *names):
         write_png(tmp_path / name, np.full((30, 40, 3), 90 + len(name), np.uint8))
-    write_sensor_toml(tmp_path / "sensor.toml", "s", 0.1)
+    (tmp_path / "sensor.toml").write_text(toml_of_settings(SensorSettings("s", 0.1)))
     assert [press.name for press in read_presses(tmp_path).presses] == names
 
 
@@ -81,8 +82,7 @@ def test_images_are_rgb_and_rounded_tables_have_a_header_and_names_are_any(tmp_p
     assert (tmp_path / "t.csv").read_text() == "a,b\n1,2\n3,4\n"
     name = 'a "quoted" \\ name\nin two lines'
     for serial in ({}, {"serial": "D\\20"}):
-        write_sensor_toml(tmp_path / "sensor.toml", name, np.float64(0.3), **serial)
-        said = tomlkit.loads((tmp_path / "sensor.toml").read_text())
+        said = tomlkit.loads(toml_of_settings(SensorSettings(name, 0.3, **serial)))
         assert said == {"name": name, "mm_per_px": 0.3, **serial}
 
 

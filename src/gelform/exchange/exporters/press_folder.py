@@ -33,6 +33,7 @@ from gelform.foundations.checks import (
 from gelform.foundations.files import locked_folder, picture_bytes, sweep, table_text
 from gelform.foundations.processes import interrupt_held, worker_processes
 from gelform.image.view import Frame
+from gelform.sensors.files import SensorSettings
 from gelform.sensors.mcap import McapRecording
 from gelform.sensors.playback import RecordingFacts
 from gelform.simulate import (
@@ -84,13 +85,15 @@ def check_room(folder: Path) -> None:
         probe.write(bytes(16_384))  # several blocks of any file system
 
 
-def write_sensor_toml(path: Path, name: str, mm_per_px: float, serial: str = "") -> None:
-    """Write a minimal `sensor.toml`: a name, the width of a pixel, mm, and the serial number if there is one."""
+def toml_of_settings(settings: SensorSettings) -> str:
+    """The text of a `sensor.toml`: name, scale, view and the camera's settings, and of which unit, as far as known."""
     import tomlkit  # imported here, because most commands import this module and write no such file
 
-    unit = {"serial": serial} if serial else {}
-    content = tomlkit.dumps({"name": name, "mm_per_px": float(mm_per_px), **unit})
-    path.write_text(content, encoding="utf-8")
+    known = ("mm_per_px_sigma", "make", "serial", "gel_id")
+    content: dict[str, Any] = {"name": settings.name, "mm_per_px": settings.mm_per_px}
+    content |= {name: value for name in known if (value := getattr(settings, name)) not in (None, "")}
+    tables = {"view": settings.view.to_dict(), "camera": dict(settings.camera)}
+    return tomlkit.dumps(content | {name: table for name, table in tables.items() if table})
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, str]]) -> None:
@@ -144,7 +147,8 @@ def _write_parameters(folder: Path, sensor: SimulatedSensor, twin: Twin | None, 
     parameters = {"sensor": settings_from_sensor(sensor), "like": like, "gelform_version": __version__}
     text = json.dumps({**parameters, **others}, indent=1, sort_keys=True)
     (folder / "parameters.json").write_text(text + "\n", encoding="utf-8")
-    write_sensor_toml(folder / "sensor.toml", sensor.name, sensor.mm_per_px)
+    settings = SensorSettings(sensor.name, float(sensor.mm_per_px))
+    (folder / "sensor.toml").write_text(toml_of_settings(settings), encoding="utf-8")
 
 
 def write_truth(path: Path, press: SimulatedPress, meta: Mapping[str, Any], **arrays: Any) -> None:
@@ -325,7 +329,8 @@ def save_press_folder(
                 np.savez_compressed(partial / f"truth/{k:04d}.npz", **dict[str, Any](truths[k]))
             progress(k + 1, len(images), "writing presses")
         write_csv(partial / "presses.csv", rows)
-        write_sensor_toml(partial / "sensor.toml", name, pitch, serial)
+        settings = SensorSettings(name, pitch, serial=serial)
+        (partial / "sensor.toml").write_text(toml_of_settings(settings), encoding="utf-8")
     return target
 
 
