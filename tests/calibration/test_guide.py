@@ -72,8 +72,9 @@ def test_a_ball_that_moves_is_not_still(judge, press):
 
 def test_reasons_say_what_to_do(judge, press):
     here = press(2, 1)
-    circle = looked(judge, here.image).circle
-    assert "before" in looked(judge, here.image, [circle]).reason
+    x, y, radius = looked(judge, here.image).circle
+    for share, reason in ((0.35, "You pressed here before. Press at the circle."), (0.45, "")):
+        assert looked(judge, here.image, [(x + share * radius, y, radius)]).reason == reason
     assert "harder" in looked(judge, press(0, 0, depth_mm=0.06).image).reason
     assert "too deep" in looked(judge, press(0, 0, depth_mm=0.7, diameter_mm=14).image).reason
 
@@ -108,6 +109,7 @@ def test_the_background_comes_first_then_a_place_to_press(guide, see):
     assert guide.step == "press"
     assert guide.target is not None
     assert guide.target.name in guide.hint
+    assert guide.facts()["places"][0][2] == pytest.approx(0.55 * 2.5 / guide.settings.mm_per_px)
 
 
 def test_a_press_held_still_is_accepted_once(guide, see, press):

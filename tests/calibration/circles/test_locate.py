@@ -97,7 +97,10 @@ def test_what_presses_were_prepared_with_does_not_decide_and_few_presses_do_not_
     assert contact_radius_ratio(*presses(11, 1.6 * CONTACT_PX)) == USUAL_EDGE
     made, contacts = presses(12, 1.3 * CONTACT_PX)
     assumed = [replace(one, contact_radius_ratio=0.5) for one in made]
-    assert contact_radius_ratio(assumed, contacts) == contact_radius_ratio(made, contacts)
+    edge = contact_radius_ratio(made, contacts)
+    assert contact_radius_ratio(assumed, contacts) == edge
+    off = [replace(one, x_px=one.x_px + 2 * (-1) ** k) for k, one in enumerate(contacts)]
+    assert contact_radius_ratio(made, off) == pytest.approx(edge, abs=0.004), "about the fitted centers"
 
 
 def gains_of(curve, presses=3):
