@@ -205,15 +205,6 @@ def test_too_few_presses_cannot_be_fitted(guide, see):
         guide.presses()
 
 
-def test_a_background_that_is_touched_half_the_time_is_taken_again(guide, see, press):
-    for k in range(USUAL_FRAMES):
-        see(press(3, 2).image if k % 2 else None)
-    if guide.step == "background":
-        assert "again" in guide.hint
-    see(times=2 * USUAL_FRAMES)
-    assert guide.step == "press"
-
-
 def test_a_dark_surround_is_named_with_the_crop_that_fits(guide, see, sensor):
     rest = np.asarray(simulate_background(sensor, np.random.default_rng(1)), np.uint8)
     rest[:, :30] = 2

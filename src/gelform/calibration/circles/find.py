@@ -147,12 +147,9 @@ class PreparedPress:
 
     def samples(self, rows: Array, cols: Array, gradients: Numbers, weight: float) -> Samples:
         """Pixels of known gradients (N, 2), all of one weight, with their depths if those are known."""
-        weights, depth = (
-            np.full(len(rows), weight),
-            None if self.depth_px is None else self.depth_px[rows, cols],
-        )
-        change, shape = self.color_change[rows, cols], self.size.shape
-        return Samples(change, cols, rows, gradients, weights, shape, self.background, depth)
+        depth = None if self.depth_px is None else self.depth_px[rows, cols]
+        change, weights = self.color_change[rows, cols], np.full(len(rows), weight)
+        return Samples(change, cols, rows, gradients, weights, self.size.shape, self.background, depth)
 
 
 class ColorChanges:
