@@ -16,14 +16,7 @@ from gelform.exchange.plots import canvas, draw_map, pixels_of
 from gelform.foundations.checks import check_positive
 from gelform.reconstruct import Reconstructor
 from gelform.result.metrics import angle_deg
-from gelform.simulate import (
-    Optics,
-    SimulatedPress,
-    SimulatedSensor,
-    exposed,
-    simulate_background,
-    simulate_ball_presses,
-)
+from gelform.simulate import Optics, SimulatedSensor, exposed, simulate_background, simulate_ball_presses
 from gelform.simulate.gel import Surface
 from gelform.simulate.light import irradiance_from_surface, levels_from_irradiance, spread_in_gel
 
@@ -169,7 +162,11 @@ def compare_designs(
                 f"light of three colors from three sides, or give more presses= (--presses). {problem}"
             ) from problem
         reconstruct = Reconstructor(calibration)
-        errors = [_errors(press, reconstruct.from_image(press.image)) for press in held_out.presses]
+        errors = []
+        for press in held_out.presses:
+            inside, result = press.contact, reconstruct.from_image(press.image)
+            angles = angle_deg(result.gradients[inside], press.gradients[inside])
+            errors.append((np.argwhere(inside), result.depth_mm[inside] - press.depth_mm[inside], angles))
         condition, sigma = light_quality(design)
         results.append(DesignResult(variation.name, design, condition, sigma, *_summed(errors, design.shape)))
     progress(len(variations), len(variations), "done")
@@ -212,18 +209,13 @@ def _levels_of_slope(sensor: SimulatedSensor, p: float, q: float) -> NDArray[np.
     return np.asarray(levels_from_irradiance(sensor, spread_in_gel(light, coating, sensor.mm_per_px)))
 
 
-def _errors(press: SimulatedPress, result: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Positions (N, 2), depth errors in mm and angle errors in degrees of the contact's pixels."""
-    inside = press.contact
-    angles = angle_deg(result.gradients[inside], press.gradients[inside])
-    depth = result.depth_mm[inside] - press.depth_mm[inside]
-    return np.argwhere(inside), depth, angles
-
-
 def _summed(
     errors: Sequence[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]], shape: tuple[int, int]
 ) -> tuple[float, float, NDArray[np.float64], float]:
-    """Depth RMSE in um, its standard error over the presses, its map over the gel, and the mean angle error."""
+    """Depth RMSE in um, its standard error over the presses, its map over the gel, and the mean angle error.
+
+    Each press has the positions (N, 2) of its pixels, their depth errors in mm and their angle errors in degrees.
+    """
     where, depth, angle = (np.concatenate(parts) for parts in zip(*errors))
     cell = where * np.array(CELLS) // np.array(shape)
     number = np.ravel_multi_index((cell[:, 0], cell[:, 1]), CELLS)
