@@ -94,15 +94,10 @@ def test_pressing_where_it_is_said_covers_the_frame():
     assert len(circles) <= 20
 
 
-@pytest.mark.parametrize(
-    ("x", "y", "name"),
-    [
-        *((10, 10, "top left"), (310, 10, "top right"), (160, 230, "bottom"), (10, 120, "left")),
-        *((160, 120, "middle"), (-5, 400, "bottom left")),
-    ],
-)
-def test_places_are_named_as_the_image_shows_them(x, y, name):
-    assert name_of_place(x, y, SHAPE) == name
+def test_places_are_named_as_the_image_shows_them():
+    places = (10, 10), (310, 10), (160, 230), (10, 120), (160, 120), (-5, 400)
+    names = ["top left", "top right", "bottom", "left", "middle", "bottom left"]
+    assert [name_of_place(x, y, SHAPE) for x, y in places] == names
 
 
 def test_all_in_one_corner():
@@ -159,6 +154,8 @@ def test_too_few_presses_are_counted_and_placed():
     (note,) = coverage_notes(circles, SHAPE)
     assert "Take 9 more presses, first at left (" in note
     assert coverage_notes(lattice(4, 5), SHAPE) == ()
+    assert "Take 20 more presses" in coverage_notes([], SHAPE)[0]
+    assert len({*press_next(coverage_from_circles([], SHAPE))}) == 5
 
 
 def test_many_small_presses_that_leave_most_uncovered():
@@ -167,24 +164,12 @@ def test_many_small_presses_that_leave_most_uncovered():
     assert "% of the places and slope directions" in note
 
 
-def test_no_press_at_all():
-    coverage = coverage_from_circles([], SHAPE)
-    assert coverage.fraction == 0
-    assert len({*press_next(coverage)}) == 5
-    assert "20 more presses" in coverage_notes([], SHAPE)[0]
-
-
-def test_tiles_are_about_square_and_counted_along_rows():
+def test_tiles_are_about_square_and_counted_along_rows_and_directions_clockwise():
     shapes = (240, 320), (320, 240), (100, 1000)
     assert [square_tiles(shape) for shape in shapes] == [(6, 8), (8, 6), (2, 8)]
     assert tile_of([0, 79, 0, 79], [0, 0, 59, 59], (60, 80), (3, 4)).tolist() == [0, 3, 8, 11]
-
-
-@pytest.mark.parametrize(
-    ("slope", "direction"), [((1, 0), 0), ((0, 1), 2), ((-1, 0), 4), ((0, -1), 6), ((1, 1), 1)]
-)
-def test_directions(slope, direction):
-    assert direction_of(np.array([slope], dtype=float))[0] == direction
+    slopes = np.array([(1, 0), (1, 1), (0, 1), (-1, 0), (0, -1)], dtype=float)
+    assert direction_of(slopes).tolist() == [0, 1, 2, 4, 6]
 
 
 def everywhere(step):

@@ -52,7 +52,7 @@ def test_then_what_lies_beside_the_data_then_what_they_know_then_the_profile(bes
     assert (by_profile.name, by_profile.mm_per_px) == (MINI.name, MINI.mm_per_px)
 
 
-def test_the_view_that_is_asked_for_goes_first():
+def test_the_view_that_is_asked_for_goes_first_and_a_make_s_where_the_scale_is_its_own():
     own = SensorSettings("mine", 0.07, view=View((480, 640), flip="x"))
     frame = (480, 640)
     assert ReadOptions(crop=(1, 2, 30, 40)).view(own, frame) == View(frame, (1, 2, 30, 40))
@@ -60,6 +60,9 @@ def test_the_view_that_is_asked_for_goes_first():
     plain = SensorSettings("mine", 0.07)
     assert ReadOptions().view(plain, frame).is_identity
     assert ReadOptions(sensor="gelsight-mini").view(plain, frame) == MINI.view(frame)
+    mini = SensorSettings("my Mini", 0.0634, make="gelsight-mini")
+    assert ReadOptions().view(mini, frame) == MINI.view(frame)
+    assert ReadOptions().view(replace(mini, mm_per_px=0.0317), frame).is_identity, "cut by the user"
 
 
 def test_a_ball_and_a_scale_have_to_be_known(tmp_path):
@@ -68,16 +71,6 @@ def test_a_ball_and_a_scale_have_to_be_known(tmp_path):
     assert ReadOptions(ball_diameter_mm=6.35).ball("x") == 6.35
     with pytest.raises(DataError, match=r"x: which ball pressed\?.*--ball-diameter-mm"):
         ReadOptions().ball("x")
-
-
-def test_a_subset_is_of_the_same_sensor_and_a_pitch_that_nothing_has_is_refused(presses):
-    some = presses.subset([2, 0])
-    assert [press.name for press in some.presses] == [presses.presses[2].name, presses.presses[0].name]
-    assert some.image_shape == presses.image_shape
-    assert some.background is presses.background
-    for pitch in (0, -1.0, float("nan")):
-        with pytest.raises(ValueError, match="mm_per_px > 0"):
-            replace(presses, mm_per_px=pitch)
 
 
 COLUMNS = ("image", "ball_diameter_mm")
@@ -130,14 +123,6 @@ def test_a_make_is_named_beside_the_data_asked_for_or_the_start_of_a_name(beside
     assert replace(presses, sensor_name="my Mini", make=None).make is None
 
 
-def test_a_make_beside_the_data_has_its_view_where_the_scale_is_its_own():
-    frame = (480, 640)
-    mini = SensorSettings("my Mini", 0.0634, make="gelsight-mini")
-    assert ReadOptions().view(mini, frame) == MINI.view(frame)
-    cut_by_the_user = replace(mini, mm_per_px=0.0317)
-    assert ReadOptions().view(cut_by_the_user, frame).is_identity
-
-
 def test_images_of_a_make_carry_the_view_of_its_camera(presses):
     images = replace(presses, presses=(), background=np.zeros((240, 320, 3), np.float32), mm_per_px=0.0634)
     assert images.camera_view.is_identity
@@ -147,10 +132,13 @@ def test_images_of_a_make_carry_the_view_of_its_camera(presses):
     assert replace(mini, view=own).camera_view == own
 
 
-def test_a_gel_wider_or_narrower_than_any_is_refused(presses):
-    for pitch, width in ((0.9, 158), (0.0126, 2.22)):
-        named = rf"a gel between 3 and 150 mm wide, got 176 px of {pitch} mm: {width} mm"
-        with pytest.raises(ValueError, match=named):
+def test_a_pitch_and_a_gel_s_width_that_nothing_has_are_refused(presses):
+    for pitch, message in (
+        *((pitch, "mm_per_px > 0") for pitch in (0, -1.0, float("nan"))),
+        (0.9, "a gel between 3 and 150 mm wide, got 176 px of 0.9 mm: 158 mm"),
+        (0.0126, "a gel between 3 and 150 mm wide, got 176 px of 0.0126 mm: 2.22 mm"),
+    ):
+        with pytest.raises(ValueError, match=message):
             replace(presses, mm_per_px=pitch)
     with pytest.raises(ValueError, match=r"gel of a GelSight Mini between 10.1 and 40.6 mm wide, got 176 px"):
         replace(presses, mm_per_px=0.0126, make="gelsight-mini")

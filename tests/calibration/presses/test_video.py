@@ -365,10 +365,10 @@ def test_frames_without_a_press_of_several_sizes_or_too_many_are_refused(filmed,
             gelform.presses_from_frames(given, **{**how, **changed})
 
 
-@pytest.mark.parametrize("time_s", [None, float("nan"), "0"])
-def test_frames_have_a_time(time_s):
-    with pytest.raises((TypeError, ValueError), match="time_s"):
-        gelform.Frame(np.full((60, 80, 3), 90, np.uint8), time_s, 0, 1)
+def test_frames_have_a_time():
+    for time_s in (None, float("nan"), "0"):
+        with pytest.raises((TypeError, ValueError), match="time_s"):
+            gelform.Frame(np.full((60, 80, 3), 90, np.uint8), time_s, 0, 1)
 
 
 def test_light_that_drifts_is_noted(filmed, how):
