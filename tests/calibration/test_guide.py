@@ -245,9 +245,8 @@ def test_its_folder_has_the_calibration_and_the_library_once_it_is_kept(made, li
     path, said = found.keep()
     assert [path] == list(library.iterdir())
     assert "The library has it too" in said
-    kept = path
     saved = gelform.load_calibration(found.folder / "calibration.npz")
-    assert saved.digest == gelform.load_calibration(kept).digest == found.calibration.digest
+    assert saved.digest == gelform.load_calibration(path).digest == found.calibration.digest
 
 
 def test_its_figures_are_those_of_the_report(made, library, presses):

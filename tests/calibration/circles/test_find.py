@@ -3,7 +3,6 @@
 They are held to simulated truth and to real labels.
 """
 
-import csv
 from dataclasses import replace
 
 import cv2
@@ -42,7 +41,6 @@ from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.image.background import ChangeSettings, PreparedBackground, color_change_from_image
 from gelform.image.markers import MarkerFinder
 from gelform.result.metrics import followed_radius
-from gelform.sensors.files import read_image
 from gelform.simulate import Ball, Pose, simulate_background, simulate_ball_presses, simulate_sequence
 from made.images import grid, image_of_dots
 
@@ -115,25 +113,23 @@ def test_the_offset_is_the_vertex_of_a_parabola():
     assert parabola_offset(0.0 * at, 4) == 0
 
 
+def off_labels(presses):
+    """Found centers minus those of the labels (N, 2), px."""
+    found = [find_contact(change_of(press.image, presses.background)) for press in presses.presses]
+    return np.array([(c.x_px, c.y_px) for c in found]) - [press.label[:2] for press in presses.presses]
+
+
 def test_low_resolution_real_presses(data):
     """Human labels of another sensor at 120x160: the median distance stays under 2 px."""
-    pack = np.load(data / "taxim-ball-lowres" / "dataPack.npz")
-    background = pack["f0"].astype(np.float32)
-    found = [find_contact(change_of(image, background)) for image in pack["imgs"]]
-    distance = np.hypot(*(np.array([(c.x_px, c.y_px) for c in found]) - pack["touch_center"]).T)
+    how = {"mm_per_px": 0.1, "ball_diameter_mm": 4}
+    distance = np.hypot(*off_labels(gelform.read_presses(data / "taxim-ball-lowres", **how)).T)
     assert np.median(distance) < 1.8  # recorded: 1.76
     assert distance.max() < 5  # no gross failure among 49
 
 
 @pytest.mark.slow
 def test_very_deep_real_presses(data):
-    folder = data / "gelsight-ball-deep"
-    background = read_image(folder / "background.png").astype(np.float32)
-    with (folder / "presses.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    found = [find_contact(change_of(read_image(folder / row["image"]), background)) for row in rows]
-    labels = np.array([(float(row["center_x_px"]), float(row["center_y_px"])) for row in rows])
-    offset = np.array([(c.x_px, c.y_px) for c in found]) - labels
+    offset = off_labels(gelform.read_presses(data / "gelsight-ball-deep"))
     scatter = np.hypot(*(offset - np.median(offset, axis=0)).T)
     assert np.median(scatter) < 3.03  # recorded: 3.00, about what the labels themselves scatter
     assert scatter.max() < 10
@@ -315,13 +311,10 @@ def test_a_circle_by_hand_is_taken_unless_a_clear_ball_is_elsewhere(even, antisy
 
 @pytest.mark.slow
 def test_presses_of_home_made_sensors_are_found_without_their_circles(data):
-    folder = data / "homemade-even" / "a"
-    presses = gelform.read_presses(folder)
-    with (folder / "presses.csv").open(encoding="utf-8") as file:
-        circles = {row["image"]: [float(v) for v in list(row.values())[2:5]] for row in csv.DictReader(file)}
+    presses = gelform.read_presses(data / "homemade-even" / "a")
     bare = tuple(replace(press, label=None) for press in presses.presses)
-    for press in prepare(replace(presses, presses=bare)):
-        x, y, radius = circles[press.name]
+    for labeled, press in zip(presses.presses, prepare(replace(presses, presses=bare))):
+        x, y, radius = labeled.label
         assert np.hypot(press.found.x_px - x, press.found.y_px - y) < 0.2 * radius  # the circles are by eye
 
 

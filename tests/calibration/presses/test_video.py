@@ -3,8 +3,8 @@
 A simulated video with presses, a slide and a roll: the presses come out, the rest is left out and named.
 """
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections import namedtuple
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -178,15 +178,8 @@ BALL_MM = 5.0
 HOLD, RAMP, REST = 8, 4, 5
 
 
-@dataclass(frozen=True)
-class Filmed:
-    """A video and what is true of it: frames (first, last) of each hold, and the still presses."""
-
-    path: Path
-    images: list
-    holds: list
-    slides: list
-    stills: object
+# A video and what is true of it: frames (first, last) of each hold and slide, and the still presses.
+Filmed = namedtuple("Filmed", "path images holds slides stills")
 
 
 def write(path, images, codec="FFV1"):
