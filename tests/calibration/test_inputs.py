@@ -25,7 +25,8 @@ from gelform.calibration.inputs import (
     imprint_aspect,
     imprint_notes,
     input_notes,
-    light_order_note,
+    light_order_notes,
+    light_response,
     light_turn,
     notes_of,
     radius_from_gradients,
@@ -40,6 +41,7 @@ from gelform.calibration.starters import starter_from_calibration
 from gelform.errors import CalibrationError
 from gelform.image.view import View
 from gelform.result.metrics import ball_gradients
+from gelform.sensors.profiles import make_of
 from gelform.simulate import Led, exposed, simulate_ball_presses
 from made.images import halved
 
@@ -278,8 +280,8 @@ def test_untouched_backgrounds_pass_and_few_presses_cannot_tell(presses):
 
 def turn_of(presses):
     prepared = prepare(presses)
-    contacts = [find_contact(press.color_change) for press in prepared]
-    return prepared, contacts, light_turn(prepared, contacts)
+    response = light_response(prepared, [find_contact(press.color_change) for press in prepared])
+    return response, light_turn(response)
 
 
 def test_lights_that_come_round_clockwise(sensor):
@@ -291,18 +293,18 @@ def test_lights_that_come_round_clockwise(sensor):
         round_, ball_diameters_mm=[6.0], count=6, rng=np.random.default_rng(0), oversample=1
     )
     presses = presses_from_simulated(replace(made, sensor=round_))
-    assert turn_of(presses)[2] > 1
-    assert turn_of(altered(presses, swapped, swapped))[2] < -1
+    assert turn_of(presses)[1] > 1
+    assert turn_of(altered(presses, swapped, swapped))[1] < -1
 
 
 def test_folders_that_are_reversed_throughout_are_noted_where_the_sensor_is_known(presses):
-    prepared, contacts, turn = turn_of(presses)
+    response, turn = turn_of(presses)
     kind = "DIGIT" if turn > 0 else "GelSight Mini"  # the kind whose lights come round the other way
-    note = light_order_note(replace(presses, sensor_name=f"{kind}, unit A"), prepared, contacts)
+    (note,) = light_order_notes(make_of(f"{kind}, unit A"), response)
     assert "saved as BGR, or they are mirrored" in note
     other = "GelSight Mini" if turn > 0 else "DIGIT"
-    assert light_order_note(replace(presses, sensor_name=other), prepared, contacts) is None
-    assert light_order_note(presses, prepared, contacts) is None  # of an unknown kind nothing is known
+    assert light_order_notes(make_of(other), response) == ()
+    assert light_order_notes(None, response) == (), "of an unknown kind nothing is known"
 
 
 def test_the_report_says_how_many_presses_are_missing(calibration):
@@ -324,10 +326,10 @@ def test_real_sets_pass_and_are_caught_when_spoilt(data):
             touched = replace(few, background=halved(presses).presses[2].image.astype(np.float32))
             with pytest.raises(gelform.CalibrationError, match="has a contact in it"):
                 check_inputs(touched)
-            prepared, contacts, turn = turn_of(few)
-            assert light_order_note(few, prepared, contacts) is None
+            response, turn = turn_of(few)
+            assert light_order_notes(few.make, response) == ()
             other = altered(few, swapped, swapped)
-            assert "saved as BGR" in light_order_note(other, *turn_of(other)[:2])
+            assert "saved as BGR" in light_order_notes(few.make, turn_of(other)[0])[0]
             assert abs(turn) > 1
 
 
@@ -448,9 +450,9 @@ def test_real_imprints_are_round_fill_the_image_and_change_color_as_on_their_bal
     presses = gelform.read_presses(data / name)
     prepared = prepare(presses.subset(range(0, len(presses.presses), 5)))
     contacts = [find_contact(press.color_change) for press in prepared]
-    assert imprint_notes(prepared, contacts) == ()
+    assert imprint_notes(light_response(prepared, contacts)) == ()
     larger = [replace(press, ball_radius_px=10 * press.ball_radius_px) for press in prepared]
-    assert len(imprint_notes(larger, contacts)) == 1
+    assert len(imprint_notes(light_response(larger, contacts))) == 1
     presses = presses.subset(range(0, len(presses.presses), 2))
     assert imprints(presses) == ()
     assert surround_notes(presses) == ()
@@ -460,9 +462,9 @@ def test_real_imprints_are_round_fill_the_image_and_change_color_as_on_their_bal
 
 def test_a_ball_ten_times_too_large_changes_color_too_much(prepared, found):
     """So does a scale ten times too small: only their ratio is in the image."""
-    assert imprint_notes(prepared, found) == ()
+    assert imprint_notes(light_response(prepared, found)) == ()
     larger = [replace(press, ball_radius_px=10 * press.ball_radius_px) for press in prepared]
-    (note,) = imprint_notes(larger, found)
+    (note,) = imprint_notes(light_response(larger, found))
     assert "ball's diameter is too large or mm_per_px too small" in note
 
 

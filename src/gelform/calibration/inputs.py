@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from gelform.arrays import Array, Map
+from gelform.arrays import Array, Map, Numbers
 from gelform.calibration.circles.find import (
     PRESS_PIXELS,
     TRIAL_SAMPLES,
@@ -297,7 +297,10 @@ def input_notes(located: Located) -> tuple[str, ...]:
     presses = located.presses
     prepared, contacts = located.refined.of_accepted(located.prepared)
     circles = [contact.circle_px for contact in contacts]
-    order = light_order_note(presses, prepared, contacts)
+    of_light: tuple[str, ...] = ()
+    if contacts:
+        response = light_response(prepared, contacts)
+        of_light = *imprint_notes(response), *light_order_notes(presses.make, response)
     found = check_background_of_frames([press.image for press in presses.presses], presses.background)
     return (
         *presses.notes,
@@ -306,8 +309,7 @@ def input_notes(located: Located) -> tuple[str, ...]:
         *_edge_notes(prepared),
         *shape_notes(prepared, contacts),
         *_scale_notes(presses),
-        *imprint_notes(prepared, contacts),
-        *(() if order is None else (order,)),
+        *of_light,
     )
 
 
@@ -373,54 +375,46 @@ def _scale_notes(presses: Presses) -> tuple[str, ...]:
     )
 
 
-def imprint_notes(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> tuple[str, ...]:
+def imprint_notes(response: Numbers) -> tuple[str, ...]:
     """A note if imprints change color more than such slopes can: the stated ball is too large for them."""
-    if not contacts:
-        return ()
-    response = float(np.median(np.linalg.norm(light_response(prepared, contacts), axis=0)))
-    if response < MAX_RESPONSE:
+    size = float(np.median(np.linalg.norm(response, axis=0)))
+    if size < MAX_RESPONSE:
         return ()
     return (
-        f"The imprints change color {response:.2g} times as much as their slopes on this ball; on known sensors it "
+        f"The imprints change color {size:.2g} times as much as their slopes on this ball; on known sensors it "
         "is 0.4 to 1.3 times. The ball's diameter is too large or mm_per_px too small. Measure both: gelform scale.",
     )
 
 
-def light_order_note(
-    presses: Presses, prepared: Sequence[PreparedPress], contacts: Sequence[ContactCircle]
-) -> str | None:
-    """A note if the lights are in the opposite order around the gel for this kind of sensor, else None.
+def light_order_notes(make: str | None, response: Numbers) -> tuple[str, ...]:
+    """A note if the lights are in the opposite order around the gel for this make of sensor.
 
     If presses and background were both saved as BGR, they agree with each other, and only the lights show it. The direction
     of each light is the slope direction that brightens its channel most.
     """
-    expected = light_order_of(presses.make)
-    if presses.make is None or not contacts:
-        return None
-    turn = light_turn(prepared, contacts)
+    if make is None:
+        return ()
+    turn, expected = light_turn(response), light_order_of(make)
     turned = "clockwise" if turn > 0 else "counter-clockwise"
     if abs(turn) < 0.3 or turned == expected:  # less may be noise
-        return None
+        return ()
     return (
-        f"Red, green and blue lights follow each other {turned} around the gel. In a {PROFILES[presses.make].name} the "
+        f"Red, green and blue lights follow each other {turned} around the gel. In a {PROFILES[make].name} the "
         f"order is {expected}. Either all images and the background are saved as BGR, or they are mirrored. A "
-        "calibration fits only images of the same kind, so read new ones in the same way."
+        "calibration fits only images of the same kind, so read new ones in the same way.",
     )
 
 
-def light_turn(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
+def light_turn(response: Numbers) -> float:
     """Direction in which red, green and blue light follow each other around the gel: > 0 clockwise in the image.
 
     It is the sum of the sines of the turns from one light to the next, up to 2.6 for lights at equal angles.
     """
-    response = light_response(prepared, contacts)
     towards = np.arctan2(response[1], response[0])  # y is down: a growing angle turns clockwise
     return float(np.sin(np.roll(towards, -1) - towards).sum())
 
 
-def light_response(
-    prepared: Sequence[PreparedPress], contacts: Sequence[ContactCircle]
-) -> NDArray[np.float64]:
+def light_response(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> Numbers:
     """Change of color of each channel per slope (2, 3), by least squares over the balls."""
     samples = contact_samples(prepared, contacts, total=TRIAL_SAMPLES)
     return np.asarray(np.linalg.lstsq(samples.gradients, samples.color_change, rcond=None)[0])
