@@ -119,8 +119,10 @@ def test_a_wrench_by_hand(made, result):
     inside = np.array([[False, False, False], [False, True, False]])
     touched = replace(result, contact=inside, outside_change=0.1, force_model=MODEL, markers=flow)
 
+    wrench = RosMessages("left", topics="wrench")
+
     def sent(of):
-        ((_, message),) = made.due(["wrench"], FRAME, of, STAMP_NS)
+        ((_, message),) = wrench.due(FRAME, of, STAMP_NS)
         return decoded(made, message, "geometry_msgs/msg/WrenchStamped")
 
     message = sent(touched)
@@ -143,7 +145,7 @@ def test_a_wrench_by_hand(made, result):
     alone = sent(replace(pressed, force_model=MODEL)).wrench
     assert alone.force.z == pytest.approx(-2 * 0.4), "1 mm^2 and 0.4 mm deep, at 2 N/mm^3"
     assert np.isnan([alone.force.x, alone.torque.z]).all()
-    assert list(made.due(["wrench"], FRAME, pressed, STAMP_NS)) == []
+    assert list(wrench.due(FRAME, pressed, STAMP_NS)) == []
 
 
 def test_the_pose_of_the_object_in_the_optical_frame(made):

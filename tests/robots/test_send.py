@@ -12,7 +12,7 @@ import pytest
 import gelform
 from gelform.errors import CalibrationError, DataError
 from gelform.exchange.exporters.surface import points_from_result
-from gelform.robots.send import StampedResults, publish, save_bag
+from gelform.robots.send import publish, save_bag, send_results
 from gelform.sensors.mcap import typestore
 from made.small_gel import save
 from made.sources import ImageSource, frames
@@ -20,35 +20,36 @@ from made.sources import ImageSource, frames
 START_NS, RATE_HZ, FRAMES = 1_700_000_000_123_456_789, 50, 4
 
 
+def sent(source, calibration, seconds=None):
+    """The stamps of what was sent, and the figures."""
+    stamps = []
+    with gelform.stream(source, calibration) as running:
+        stats = send_results(running, "here", "left", lambda *given: stamps.append(given[2]), seconds)
+    return stamps, stats
+
+
 def test_stamps_are_those_of_the_frames_and_seconds_end_it(recording, calibration):
-    with gelform.stream(recording, calibration) as running:
-        results = StampedResults(running, recording, None)
-        stamps = [stamp for _, stamp in results]
-        stats = results.stats("left")
+    stamps, stats = sent(recording, calibration)
     assert stamps == [START_NS + k * 10**9 // RATE_HZ for k in range(4)]
     assert (stats.sensor, stats.frames, stats.drops, stats.stamped) == ("left", 4, 0, True)
     assert stats.duration_s == pytest.approx(3 / RATE_HZ)
-    with gelform.stream(recording, calibration) as running:
-        results = StampedResults(running, recording, 1.5 / RATE_HZ)
-        assert len(list(results)) == results.stats("left").frames == 2
+    stamps, stats = sent(recording, calibration, 1.5 / RATE_HZ)
+    assert len(stamps) == stats.frames == 2
 
 
 def test_frames_without_a_time_are_stamped_from_now_on(recording, calibration, tmp_path):
     for frame in islice(gelform.open_source(recording), 2):
         save(tmp_path / f"{frame.index}.png", frame.image)
     before = time.time_ns()
-    with gelform.stream(tmp_path, calibration) as running:
-        results = StampedResults(running, tmp_path, None)
-        first, second = (stamp for _, stamp in results)
+    (first, second), stats = sent(tmp_path, calibration)
     assert before <= first <= time.time_ns()
     assert second - first == 10**9 // 25
-    assert not results.stats("left").stamped
+    assert not stats.stamped
 
 
 def test_an_empty_source_is_an_error(calibration):
-    empty = ImageSource([], live=False, count=0)
-    with gelform.stream(empty, calibration) as running, pytest.raises(DataError, match="arrived from here"):
-        list(StampedResults(running, "here", None))
+    with pytest.raises(DataError, match="arrived from here: there is nothing to send"):
+        sent(ImageSource([], live=False, count=0), calibration)
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ from sensor_msgs.msg import Image, PointCloud2
 
 import gelform
 from gelform.robots.ros_messages import RosMessages
-from gelform.robots.send import StampedResults
-from gelform.robots.topics import TOPICS, USUAL, check_sensor_name, check_topics, sensor_name_from
+from gelform.robots.send import send_results
+from gelform.robots.topics import TOPICS, USUAL, sensor_name_from
 
 TYPES = {
     "sensor_msgs/msg/Image": Image,
@@ -34,11 +34,11 @@ class GelformNode(Node):
         calibration = gelform.load_calibration(self._parameter("calibration", ""))
         self._source = self._parameter("source", "simulated")
         name = self._parameter("name", "") or sensor_name_from(calibration.sensor_name)
-        self._topics = check_topics(self._parameter("topics", ",".join(USUAL)).split(","))
-        self._messages = RosMessages(check_sensor_name(name), calibration.serial or "")
+        topics = self._parameter("topics", ",".join(USUAL)).split(",")
+        self._messages = RosMessages(name, calibration.serial or "", topics)
         self._to = {
             topic: self.create_publisher(TYPES[TOPICS[topic].type], TOPICS[topic].of(name), QUEUE)
-            for topic in self._topics
+            for topic in self._messages.topics
         }
         self._stream = gelform.stream(self._source, calibration)
         Thread(target=self._publish_all, daemon=True).start()
@@ -51,11 +51,13 @@ class GelformNode(Node):
     def _parameter(self, name: str, default: str) -> str:
         return self.declare_parameter(name, default).get_parameter_value().string_value
 
+    def _publish(self, *result: Any) -> None:
+        for topic, message in self._messages.due(*result):
+            self._to[topic].publish(bytes(message))  # rclpy publishes bytes as they are: CDR
+
     def _publish_all(self) -> None:
         try:
-            for seen, stamp_ns in StampedResults(self._stream, self._source, None):
-                for topic, message in self._messages.due(self._topics, seen.frame, seen.result, stamp_ns):
-                    self._to[topic].publish(bytes(message))  # rclpy publishes bytes as they are: CDR
+            send_results(self._stream, self._source, self._messages.sensor, self._publish)
         except (gelform.GelformError, ValueError) as problem:
             self.get_logger().fatal(str(problem))
 

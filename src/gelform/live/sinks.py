@@ -17,6 +17,7 @@ import numpy as np
 from gelform.errors import GelformError, needed
 from gelform.live.hub import Hub
 from gelform.live.shown import Shown
+from gelform.robots.ros_messages import indentation_m
 
 HOST = "127.0.0.1"
 
@@ -140,9 +141,7 @@ class FoxgloveSink:
         stamp = shown.frame.wall_time_ns
         self._image(f"/{name}/image", shown.image, "rgb8", stamp)
         if shown.result is not None:
-            meters = (shown.result.depth_mm * np.float32(1e-3)).astype("<f4")
-            meters[~shown.result.known] = np.nan
-            self._image(f"/{name}/indentation", meters, "32FC1", stamp)
+            self._image(f"/{name}/indentation", indentation_m(shown.result), "32FC1", stamp)
         if shown.numbers is not None:
             channel = self._channel(f"/{name}/numbers", self._foxglove.Channel)
             channel.log(shown.numbers.over_time, log_time=stamp)

@@ -17,32 +17,38 @@ from gelform.errors import needed
 from gelform.exchange.exporters.surface import M_PER_MM, points_from_result
 from gelform.motion.between import about_other_center
 from gelform.motion.track import Follower
-from gelform.robots.topics import TOPICS
+from gelform.robots.topics import TOPICS, USUAL, check_sensor_name, check_topics
 from gelform.sensors.mcap import header_of, typestore
+
+
+def indentation_m(result: Reconstruction) -> NDArray[np.float32]:
+    """Depth (H, W) in meters, positive where pressed, NaN where unknown, in little-endian numbers."""
+    meters = (result.depth_mm * M_PER_MM).astype("<f4")
+    meters[~result.known] = np.nan
+    return meters
 
 
 class RosMessages:
     """Messages of one sensor, named as in ROS; `hardware_id` of the diagnostics is such as the serial number.
 
-    DataError: the extra `ros` is not installed.
+    DataError: the extra `ros` is not installed. ValueError: the sensor is no ROS name, or a topic is unknown.
     """
 
-    def __init__(self, sensor: str, hardware_id: str = "") -> None:
+    def __init__(self, sensor: str, hardware_id: str = "", topics: Iterable[str] = USUAL) -> None:
         needed("rosbags.typesys", "ros", "A message of ROS 2")
         self.store = typestore()
-        self.sensor, self.hardware_id = sensor, hardware_id
+        self.sensor, self.hardware_id = check_sensor_name(sensor), hardware_id
+        self.topics = check_topics(topics)
         self.camera_frame, self.gel_frame = f"{sensor}_camera_optical_frame", f"{sensor}_gel_optical_frame"
         self._said: tuple[tuple[str, ...] | None, int] = (None, 0)
         self._follow = Follower()
 
-    def due(
-        self, topics: Iterable[str], frame: Frame, result: Reconstruction, stamp_ns: int
-    ) -> Iterator[tuple[str, memoryview]]:
+    def due(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> Iterator[tuple[str, memoryview]]:
         """(topic, message) pairs of a frame taken at UTC ns.
 
         Diagnostics come once a second, as ROS's own do, and when the findings change.
         """
-        for name in topics:
+        for name in self.topics:
             if name == "diagnostics":
                 names, (before, said_ns) = tuple(finding.name for finding in result.health), self._said
                 if before == names and abs(stamp_ns - said_ns) < 10**9:
@@ -58,9 +64,7 @@ class RosMessages:
 
     def indentation(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
         """Depth in meters, positive where pressed, NaN where unknown: sensor_msgs/Image, 32FC1."""
-        meters = (result.depth_mm * M_PER_MM).astype("<f4")
-        meters[~result.known] = np.nan
-        return self._image("indentation", meters, "32FC1", stamp_ns, self.gel_frame)
+        return self._image("indentation", indentation_m(result), "32FC1", stamp_ns, self.gel_frame)
 
     def points(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
         """The surface, row by row: (x, y, -depth), meters; NaN where unknown: sensor_msgs/PointCloud2."""

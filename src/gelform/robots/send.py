@@ -18,15 +18,7 @@ from gelform.errors import FrameTally, Progress, no_progress
 from gelform.foundations.checks import check_path, check_positive
 from gelform.foundations.files import locked_folder, sweep
 from gelform.robots.ros_messages import RosMessages
-from gelform.robots.topics import (
-    NEEDS_SCALE,
-    ROUTER,
-    TOPICS,
-    USUAL,
-    check_sensor_name,
-    check_topics,
-    sensor_name_from,
-)
+from gelform.robots.topics import NEEDS_SCALE, ROUTER, TOPICS, USUAL, check_topics, sensor_name_from
 from gelform.robots.zenoh_node import ZenohNode
 from gelform.sensors.streams.memory import StreamFrame
 
@@ -61,11 +53,10 @@ class BagFile:
         hardware_id: str = "",
     ) -> None:
         self.path = check_path(path)
-        self._messages = RosMessages(check_sensor_name(sensor), hardware_id)
+        self._messages = RosMessages(sensor, hardware_id, topics)
         from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
         from rosbags.rosbag2 import StoragePlugin, Writer  # of the extra, which the messages needed
 
-        self._topics = check_topics(topics)
         if os.path.lexists(self.path):
             raise DataError(f"{self.path} is there already. Choose another name, or remove it.")
         # Reliable, volatile, keep the last ten, as publishers of `ros2 bag play` do by default: a player with these settings
@@ -88,7 +79,7 @@ class BagFile:
             how = {"typestore": self._messages.store, "offered_qos_profiles": [offered]}
             self._connections = {
                 name: self._writer.add_connection(TOPICS[name].of(sensor), TOPICS[name].type, **how)
-                for name in self._topics
+                for name in self._messages.topics
             }
         except OSError as problem:
             raise self._unwritable(problem) from problem
@@ -108,7 +99,7 @@ class BagFile:
             The disk is full; nothing is kept.
         """
         try:
-            for name, message in self._messages.due(self._topics, frame, result, stamp_ns):
+            for name, message in self._messages.due(frame, result, stamp_ns):
                 self._writer.write(self._connections[name], stamp_ns, message)
         except OSError as problem:
             raise self._unwritable(problem) from problem
@@ -167,58 +158,56 @@ class SentStats:
     problem: str = ""
 
 
-class StampedResults:
-    """Loops over a running stream for at most `seconds` by its frames' times, and keeps the figures.
+def results_of(running: Stream, source: object, use: str) -> Iterator[StreamFrame]:
+    """The results of a running stream with their frames; `source` is the user's name for it, `use` a verb, for messages.
 
-    `source` is the user's name for it, for messages.
+    DataError: the source gives no frame, or frames of another size than calibrated.
     """
+    one = None
+    try:
+        for one in running.pairs():
+            yield one
+    except (ValueError, TypeError) as problem:
+        raise DataError(f"{source}: {problem}") from problem
+    if one is None:
+        raise DataError(f"No frame arrived from {source}: there is nothing to {use}.")
 
-    def __init__(self, running: Stream, source: object, seconds: float | None) -> None:
-        self._running, self._source, self._seconds = running, source, seconds
-        self._stamped, self._start_ns, self._first_s, self._last_s = True, 0, 0.0, 0.0
-        self._tally, self._problem = FrameTally(), ""
 
-    def __iter__(self) -> Iterator[tuple[StreamFrame, int]]:
-        """Each result with its frame, and its stamp: the capture time, UTC, ns.
+def send_results(
+    running: Stream,
+    source: object,
+    sensor: str,
+    send: Callable[[Frame, Reconstruction, int], None],
+    seconds: float | None = None,
+    progress: Progress = no_progress,
+    doing: str = "sending frames",
+) -> SentStats:
+    """Send each result of a source, with its frame and its stamp (capture time, UTC, ns); return the figures.
 
-        DataError: the source gives no frame, or frames of another size than calibrated.
-        """
-        try:
-            for one in self._running.pairs():
-                frame, time_s, health = one.frame, one.time_s, one.result.health
-                if not self._start_ns:
-                    self._start_ns, self._first_s = time.time_ns(), time_s
-                    self._stamped = frame.wall_time_ns > 0
-                if self._seconds is not None and time_s - self._first_s >= self._seconds:
-                    break
-                self._last_s = time_s
-                self._tally.add((finding.name for finding in health), known=bool(one.result.known.any()))
-                self._problem = " ".join(finding.message for finding in health)
-                # Frames without a capture time are as far from the first as the source says.
-                later_ns = self._start_ns + round((time_s - self._first_s) * 1e9)
-                yield one, frame.wall_time_ns if self._stamped else later_ns
-        except (ValueError, TypeError) as problem:
-            raise DataError(f"{self._source}: {problem}") from problem
-        if not self._tally.frames:
-            raise DataError(f"No frame arrived from {self._source}: there is nothing to send.")
-
-    def send(
-        self, send: Callable[[Frame, Reconstruction, int], None], progress: Callable[[int], None]
-    ) -> None:
-        """Send each result with its frame and stamp; an interrupt (Ctrl-C), the usual end with a camera, ends the loop."""
-        try:
-            for count, (one, stamp_ns) in enumerate(self, 1):
-                send(one.frame, one.result, stamp_ns)
-                progress(count)
-        except KeyboardInterrupt:
-            pass
-
-    def stats(self, sensor: str) -> SentStats:
-        """The figures of the loop."""
-        tally, drops = self._tally, self._running.stats.drops
-        duration_s = self._last_s - self._first_s if tally.frames else 0.0
-        problem = self._problem if tally.is_useless else ""
-        return SentStats(sensor, tally.frames, duration_s, drops, self._stamped, tally, problem)
+    It ends after `seconds` by the frames' times, and at an interrupt (Ctrl-C), the usual end with a camera. `progress` gets
+    the number of frames so far, and `doing`. Raises the errors of `results_of`.
+    """
+    stamped, start_ns, first_s, last_s = True, 0, 0.0, 0.0
+    tally, problem = FrameTally(), ""
+    try:
+        for one in results_of(running, source, "send"):
+            frame, time_s, health = one.frame, one.time_s, one.result.health
+            if not start_ns:
+                start_ns, first_s, last_s = time.time_ns(), time_s, time_s
+                stamped = frame.wall_time_ns > 0
+            if seconds is not None and time_s - first_s >= seconds:
+                break
+            last_s = time_s
+            tally.add((finding.name for finding in health), known=bool(one.result.known.any()))
+            problem = " ".join(finding.message for finding in health)
+            # Frames without a capture time are as far from the first as the source says.
+            later_ns = start_ns + round((time_s - first_s) * 1e9)
+            send(frame, one.result, frame.wall_time_ns if stamped else later_ns)
+            progress(tally.frames, tally.frames, doing)
+    except KeyboardInterrupt:
+        pass
+    problem = problem if tally.is_useless else ""
+    return SentStats(sensor, tally.frames, last_s - first_s, running.stats.drops, stamped, tally, problem)
 
 
 def save_bag(
@@ -265,9 +254,7 @@ def save_bag(
         BagFile(path, name, topics=topics, hardware_id=calibration.serial or "") as bag,
         stream(lambda: open_source(source, bgr=bgr), calibration, background=background) as running,
     ):
-        results = StampedResults(running, source, seconds)
-        results.send(bag.write, lambda count: progress(count, count, "writing frames"))
-        return results.stats(name)
+        return send_results(running, source, name, bag.write, seconds, progress, "writing frames")
 
 
 def publish(
@@ -308,9 +295,7 @@ def publish(
             lambda: open_source(source, paced=True, bgr=bgr), calibration, background=background
         ) as running,
     ):
-        results = StampedResults(running, source, seconds)
-        results.send(node.publish, lambda count: progress(count, count, "publishing frames"))
-        return results.stats(name)
+        return send_results(running, source, name, node.publish, seconds, progress, "publishing frames")
 
 
 def _checked(

@@ -18,7 +18,7 @@ from typing import Any
 from gelform import Frame, Reconstruction
 from gelform.errors import GelformError, needed
 from gelform.robots.ros_messages import RosMessages
-from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, USUAL, check_sensor_name, check_topics
+from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, USUAL
 
 
 @dataclass(frozen=True)
@@ -97,17 +97,16 @@ class ZenohNode:
         domain: int = 0,
         hardware_id: str = "",
     ) -> None:
-        self._topics = check_topics(topics)
         if not 0 <= domain <= MAX_DOMAIN:
             raise ValueError(f"Expected a ROS domain from 0 to {MAX_DOMAIN}, got {domain}.")
         for module in ("zenoh", "rosbags.typesys"):
             needed(module, "ros", "Publishing for ROS 2")
-        self._messages = RosMessages(check_sensor_name(sensor), hardware_id)
+        self._messages = RosMessages(sensor, hardware_id, topics)
         self._session = _session(router)
         self.node = Node(domain, str(self._session.zid()), f"gelform_{sensor}")
         declare = self._session.liveliness().declare_token
         self._tokens, self._put = [declare(self.node.token)], {}
-        for number, name in enumerate(self._topics, 1):
+        for number, name in enumerate(self._messages.topics, 1):
             topic = TOPICS[name]
             names = topic.of(sensor), topic.type, self._messages.store.hash_rihs01(topic.type)
             token = self.node.publisher_token(number, *names)
@@ -123,7 +122,7 @@ class ZenohNode:
         result : of the frame, in mm if indentation or points are published
         stamp_ns : capture time, UTC, ns
         """
-        for name, message in self._messages.due(self._topics, frame, result, stamp_ns):
+        for name, message in self._messages.due(frame, result, stamp_ns):
             self._put[name](bytes(message))
 
     def close(self) -> None:

@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer import Argument, Option
 
 import gelform
-from gelform import DataError, robots
+from gelform import robots
 from gelform.cli import options
 from gelform.cli.console import DOUBT, ShownOption, mistakes_in, say, status_of
 from gelform.cli.files import Inputs, check_output, save_by_name
 from gelform.cli.options import usage_errors
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, USUAL, check_sensor_name, check_topics
-
-if TYPE_CHECKING:
-    from gelform.sensors.streams.memory import StreamFrame
 
 PRIOR = "MM,DEG"
 
@@ -161,6 +157,7 @@ def track(
     from gelform.exchange.exporters.surface import SURFACES
     from gelform.motion.between import LOST, checked_prior
     from gelform.motion.track import Follower
+    from gelform.robots.send import results_of
     from gelform.sensors.films import is_film, open_film
 
     spread = None if prior is None else options.numbers(prior, PRIOR, "--prior")
@@ -179,15 +176,13 @@ def track(
     results: dict[int, gelform.Reconstruction] = {}
     opened = partial(gelform.open_source, source, bgr=given.bgr)
     with shown.progress() as progress, gelform.stream(opened, loaded, background=known) as running:
-        for number, one in enumerate(_frames_of(source, running)):
+        for number, one in enumerate(results_of(running, source, "follow")):
             poses.append(follow(one.result))
             if surface is not None:
                 results[number] = one.result
                 if number > 1 and poses[number - 1].keyframe != number - 2:  # it did not become the keyframe
                     del results[number - 2]
             progress(number + 1, max(total, number + 1), "following")
-    if not poses:
-        raise DataError(f"No frame arrived from {source}: there is nothing to follow.")
     _write_poses(poses, output, overwrite)
     states = Counter(pose.motion.state for pose in poses)
     shown.say(f"Wrote {output}: {', '.join(f'{count} {state}' for state, count in states.items())}.")
@@ -207,12 +202,6 @@ def track(
             "column why of the table."
         )
         raise typer.Exit(DOUBT)
-
-
-def _frames_of(source: str, running: gelform.Stream) -> Iterator[StreamFrame]:
-    """The frames of a source; a DataError names it where one is of another size."""
-    with mistakes_in(source):
-        yield from running.pairs()
 
 
 def _write_poses(poses: list[gelform.Tracked], path: Path, overwrite: bool) -> None:
