@@ -106,5 +106,5 @@ def test_a_process_that_dies_leaves_no_bag_under_its_name(tmp_path, fault):
         assert left == [f".bag.partial-{left[0].split('-')[1]}"]
     else:
         assert "DataError: Cannot write" in run.stderr, run.stderr
-        assert "File too large. Nothing was kept." in run.stderr
+        assert "File too large. Nothing of it was kept." in run.stderr
         assert left == []

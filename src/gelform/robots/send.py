@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
@@ -15,8 +14,8 @@ from numpy.typing import ArrayLike
 from gelform import DataError, Frame, Reconstruction, Stream, open_source, stream
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import FrameTally, Progress, no_progress
+from gelform.exchange.exporters.press_folder import written_whole
 from gelform.foundations.checks import check_path, check_positive
-from gelform.foundations.files import locked_folder, sweep
 from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import NEEDS_SCALE, ROUTER, TOPICS, USUAL, check_topics, sensor_name_from
 from gelform.robots.zenoh_node import ZenohNode
@@ -26,8 +25,8 @@ from gelform.sensors.streams.memory import StreamFrame
 class BagFile:
     """A rosbag2 folder (metadata.yaml and one MCAP file), written frame by frame; a context manager.
 
-    The folder gets its name when it is closed. An exception discards it, except an interrupt (Ctrl-C), which keeps the
-    frames written so far.
+    The folder gets its name at the end of the context. An exception discards it, except an interrupt (Ctrl-C), which keeps
+    the frames written so far.
 
     Parameters
     ----------
@@ -39,7 +38,7 @@ class BagFile:
     Raises
     ------
     DataError
-        The path exists or cannot be written, or the extra `ros` is not installed.
+        The path exists, or the extra `ros` is not installed; or the path cannot be written, also at the end of the context.
     ValueError
         The sensor is no ROS name, or a topic is unknown.
     """
@@ -65,15 +64,10 @@ class BagFile:
         kept, reliable, volatile = QosHistory.KEEP_LAST, QosReliability.RELIABLE, QosDurability.VOLATILE
         lives = QosLiveliness.AUTOMATIC
         offered = Qos(kept, 10, reliable, volatile, unlimited, unlimited, lives, unlimited, False)
-        self._unfinished = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}")
-        self._lock = ExitStack()
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            sweep(self.path.parent, self.path.name)
-            self._unfinished.mkdir()
-            self._lock.enter_context(locked_folder(self._unfinished))
+        with ExitStack() as opened:
+            self._folder = opened.enter_context(written_whole(self.path))
             # Version 9 is that of Jazzy and later; Humble plays the .mcap inside.
-            inside = self._unfinished / self.path.name
+            inside = self._folder / self.path.name  # which names the .mcap
             self._writer = Writer(inside, version=9, storage_plugin=StoragePlugin.MCAP)
             self._writer.open()
             how = {"typestore": self._messages.store, "offered_qos_profiles": [offered]}
@@ -81,8 +75,7 @@ class BagFile:
                 name: self._writer.add_connection(TOPICS[name].of(sensor), TOPICS[name].type, **how)
                 for name in self._messages.topics
             }
-        except OSError as problem:
-            raise self._unwritable(problem) from problem
+            self._open = opened.pop_all()
 
     def write(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> None:
         """Add a frame and its result.
@@ -92,47 +85,23 @@ class BagFile:
         frame : from the camera
         result : of the frame, in mm if indentation or points are written
         stamp_ns : capture time, UTC, ns
-
-        Raises
-        ------
-        DataError
-            The disk is full; nothing is kept.
         """
-        try:
-            for name, message in self._messages.due(frame, result, stamp_ns):
-                self._writer.write(self._connections[name], stamp_ns, message)
-        except OSError as problem:
-            raise self._unwritable(problem) from problem
-
-    def close(self) -> None:
-        """Write the index, and give the folder its name."""
-        try:
-            self._writer.close()
-            (self._unfinished / self.path.name).rename(self.path)
-            self._unfinished.rmdir()
-            self._lock.close()
-        except OSError as problem:
-            raise self._unwritable(problem) from problem
-
-    def discard(self) -> None:
-        """Leave nothing."""
-        self._writer.abort()
-        shutil.rmtree(self._unfinished, ignore_errors=True)
-        self._lock.close()
+        for name, message in self._messages.due(frame, result, stamp_ns):
+            self._writer.write(self._connections[name], stamp_ns, message)
 
     def __enter__(self) -> BagFile:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None or issubclass(kind, KeyboardInterrupt):
-            self.close()
-        else:
-            self.discard()
-
-    def _unwritable(self, problem: OSError) -> DataError:
-        shutil.rmtree(self._unfinished, ignore_errors=True)
-        self._lock.close()
-        return DataError(f"Cannot write {self.path}: {problem.strerror or problem}. Nothing was kept.")
+    def __exit__(self, kind: type[BaseException] | None, problem: BaseException | None, _: object) -> None:
+        with self._open:
+            if problem is not None and not isinstance(problem, KeyboardInterrupt):
+                self._writer.abort()
+                raise problem
+            self._writer.close()
+            inside = self._folder / self.path.name
+            for path in inside.iterdir():
+                path.rename(self._folder / path.name)
+            inside.rmdir()
 
 
 @dataclass(frozen=True)
