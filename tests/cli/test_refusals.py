@@ -2,14 +2,21 @@
 
 import shlex
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from gelform.calibration_file import load_calibration
 from gelform.exchange.plots import save_picture
 from made.files import web_file
 
 MISTAKES = {  # by the beginning of a command: its other arguments, and words of the error
+    "batch frames -o out": {
+        "--background rest.png": "take a starter",
+        "-c no_scale.npz": "has no scale",
+        "-c cal.npz --background rest.png --background-frames 2": "got both",
+    },
     "calibrate presses -o new.npz": {
         "--mm-per-px 0.00634": "presses: Expected a gel between 3 and 150 mm wide, got 160 px of 0.00634 mm: 1.01 mm.",
         "--report reported": "reported/circles.csv is already there",
@@ -66,6 +73,7 @@ MISTAKES = {  # by the beginning of a command: its other arguments, and words of
         "-c cal.npz -o text.png": "got the file",
         "-c cal.npz -o . --format png --overwrite": "replace an input",
         "-c cal.npz -o full": "already there",
+        "--background rest.png -o out": "take a starter",
     },
     "scale presses": {
         "--points 1,1,2,2,5": "--points: Expected two points at least",
@@ -86,7 +94,10 @@ MISTAKES = {  # by the beginning of a command: its other arguments, and words of
         "gelsight-mini --background rest.png -o new.npz": "GelSight Mini",
         "simulated-three-edges --background rest.png -o cal.npz": "already there",
     },
-    "track frames -c cal.npz": {"-o text.png": "is already there"},
+    "track": {
+        "frames -c cal.npz -o text.png": "is already there",
+        "missing.mcap -c cal.npz -o new.csv": "No recording",
+    },
     "verify": {"missing": "Expected the output folder of gelform batch"},
 }
 WRONG_USAGE = {
@@ -134,7 +145,14 @@ WRONG_USAGE = {
         "--set exposur=3": "exposur",
         "--sensor digit": "--presses only",
     },
+    "explain image.png": {"--sensor simulated-three-edges -c cal.npz": "-c names the calibration already"},
     "reconstruct image.png -c cal.npz -o out": {"--format npz,obj": "npz, png", "--solver x": "auto, dct"},
+    "reconstruct image.png -o out": {
+        "--mm-per-px 0.05": "name it with --sensor",
+        "--sensor simulated-three-edges": "needed with --sensor: an image of the gel at rest",
+        "--sensor simulated-three-edges --background all.csv": "needed with --sensor: an image of the gel at rest",
+        "--sensor gelslim --background rest.png": "expected digit, gelsight-mini or simulated-three-edges, got",
+    },
     "ros -c cal.npz": {
         "--topics depth": "--topics",
         "--name 'Left Finger'": "--name",
@@ -189,6 +207,7 @@ def place(press_folder, calibration_file, leds, tmp_path_factory):
     settings.write_text(settings.read_text().replace("0.1268", "0.00634"))
     shutil.copy(calibration_file, folder / "cal.npz")
     (folder / "cut.npz").write_bytes(calibration_file.read_bytes()[:1000])
+    replace(load_calibration(calibration_file), mm_per_px=None).save(folder / "no_scale.npz")
     shutil.copy(press_folder / "background.png", folder / "rest.png")
     for name in ("image.png", "frames/0.png"):
         (folder / name).parent.mkdir(exist_ok=True)

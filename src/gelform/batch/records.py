@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from gelform import DataError, __version__
-from gelform.batch.outputs.files import FRAMES, INDEX, PARTS, OutputFile, output_file
+from gelform.batch.outputs.files import FRAMES, INDEX, PARTS, SHEET, OutputFile, output_file
 from gelform.errors import Progress, no_progress
 from gelform.foundations.checks import check_path
 from gelform.foundations.files import table_text, written_file
@@ -88,7 +88,7 @@ def begin(output: Path, wanted: Manifest, *, overwrite: bool) -> None:
             if (output / name).is_dir():
                 shutil.rmtree(output / name)
         # The manifest goes last, so that an interrupted removal can be repeated.
-        for name in (*TABLES.values(), INDEX, "sheet.png", MANIFEST):
+        for name in (*TABLES.values(), INDEX, SHEET, MANIFEST):
             (output / name).unlink(missing_ok=True)
     there = read_manifest(output)
     if there is None:

@@ -39,6 +39,7 @@ from gelform.batch.inputs import (
 from gelform.batch.outputs.files import (
     FRAMES,
     PARTS,
+    SHEET,
     BatchSettings,
     PartTarget,
     PartWriter,
@@ -317,7 +318,6 @@ def _result(ray: Any, done: Any) -> Counts:
 
 
 Pitch = float | Sequence[float]
-SHEET = "sheet.png"
 ACROSS, DOWN = 6, 4  # of the contact sheet: tiles per row, rows
 TILE_PX, LABEL_PX, GAP_PX = 200, 50, 8  # width of a tile, height of the text below it, gap beside and below
 GAP_LEVEL = 90  # gray level of gaps

@@ -108,17 +108,6 @@ def test_a_shard_says_that_others_are_to_come(works, work, images, tmp_path):
     assert "This shard is done" in err
 
 
-def test_what_does_not_fit_is_refused_in_one_line(run, fails, work, imported, images, tmp_path):
-    command = ("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out")
-    two = ("--background", work / "rest.png", "--background-frames", "2")
-    assert "got both" in fails(*command, *two)
-    assert "has no scale" in fails("batch", images, "-c", imported, "-o", tmp_path / "out")
-    assert run(*command)[0] == 0
-    assert "the setting form (npz then, png now)" in fails(*command, "--format", "png")
-    assert run(*command, "--format", "png", "--overwrite")[0] == 0
-    assert len(list((tmp_path / "out" / "frames").glob("*.png"))) == 3
-
-
 def test_progress_says_rate_and_time_left():
     from gelform.batch import BatchSummary
 
@@ -126,27 +115,22 @@ def test_progress_says_rate_and_time_left():
     assert _line(summary, 2.0, 2) == "4 of 10 parts, 256.0 frames/s, 0:00:06 left, 3 with errors"
 
 
-@pytest.fixture
-def output(run, work, images, tmp_path):
-    assert run("batch", images, "-c", work / "cal.npz", "-o", tmp_path / "out", "--quiet") == (0, "", "")
-    return tmp_path / "out"
-
-
-def test_a_whole_output_has_no_problem(works, run_json, fails, output, tmp_path):
-    err = works("verify", output)[1]
-    assert "3 frames are complete, 0 have an error, 0 problems." in err
+def test_what_is_wrong_with_an_output_is_listed_up_to_20_lines(run, works, run_json, images, work, tmp_path):
+    output = tmp_path / "out"
+    assert run("batch", images, "-c", work / "cal.npz", "-o", output, "--quiet") == (0, "", "")
+    assert "3 frames are complete, 0 have an error, 0 problems." in works("verify", output)[1]
     assert run_json("verify", output) == {"frames": 3, "errors": 0, "problems": []}
-    assert "Expected the output folder of gelform batch" in fails("verify", tmp_path / "absent")
-
-
-def test_what_is_wrong_is_listed_and_the_status_is_1(run, output):
     (output / "frames" / "image1.npz").unlink()
     code, _, err = run("verify", output)
     assert code == 1
     assert "image1.npz: is missing. Run the same command again." in err
+    for k in range(20):
+        (output / "frames" / f"{k}.npz").touch()
+    err = run("verify", output)[2]
+    assert (err.count("no part knows of it"), "1 more; all with --json." in err) == (19, True)
     code, out, _ = run("verify", output, "--json")
-    assert code == 1
-    assert json.loads(out)["frames"] == 2
+    said = json.loads(out)
+    assert (code, said["frames"], len(said["problems"])) == (1, 2, 21)
 
 
 GOOD, DOUBTFUL, UNKNOWN = ([], True), (["beyond_gel"], True), (["not_this_gel"], False)

@@ -82,18 +82,6 @@ def test_the_time_is_that_of_the_whole_command(run, folder, tmp_path, monkeypatc
     assert 1000 <= int(re.search(r" in (\d+) s\.", err)[1]) < 2000
 
 
-def test_wrong_tables_are_said(fails, folder, tmp_path):
-    for table, text in (
-        ("image,ball\nimages/0000.png,6\n", "ball_diameter_mm missing"),
-        ("image,ball_diameter_mm\nimages/0000.png,0\n", "> 0"),
-        ("image,ball_diameter_mm\nimages/0000.png,six\n", "as a number"),
-        ("image,ball_diameter_mm\n", "No press"),
-        ("image,ball_diameter_mm\nimages/9999.png,6\n", "No file"),
-    ):
-        (folder / "presses.csv").write_text(table)
-        assert text in fails("calibrate", folder, "-o", tmp_path / "cal.npz")
-
-
 def test_images_without_a_ball(fails, folder, small, tmp_path):
     rng = np.random.default_rng(0)
     for path in (folder / "images").iterdir():
@@ -165,22 +153,6 @@ def test_commands_take_the_starter_of_a_make(works, run_json, unit, tmp_path):
     again = run_json("batch", unit, *how, "-o", tmp_path / "depths")  # the same starter: it goes on
     assert (again["frames"], again["frames_before"]) == (0, 1)
     assert "Calibration: the starter of a" in works("bag", unit, *how, "-o", tmp_path / "bag")[1]
-
-
-@pytest.mark.usefixtures("library")
-@pytest.mark.parametrize("command", ["reconstruct", "explain", "batch", "bag"])
-def test_what_a_starter_needs_is_said_before_any_work(fails, unit, tmp_path, command):
-    image, rest, out = unit / "frame.png", unit / "rest.png", ("-o", tmp_path / "out")
-    said = fails(command, image, "--sensor", SIMULATED, *out, status=2)
-    assert "--background" in said
-    assert "an image of the gel at rest" in said
-    said = fails(command, image, "--sensor", "gelslim", "--background", rest, *out, status=2)
-    assert "expected digit, gelsight-mini or simulated-three-edges, got 'gelslim'" in said
-    assert "Leave one" in fails(command, image, "--sensor", SIMULATED, "-c", rest, *out, status=2)
-    assert "--sensor" in fails(command, image, "--mm-per-px", "0.05", *out, status=2)
-    given = unit if command in ("batch", "bag") else image
-    assert "take a starter" in fails(command, given, "--background", rest, *out)
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.usefixtures("library")

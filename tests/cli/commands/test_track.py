@@ -87,8 +87,3 @@ def test_an_object_that_is_mostly_lost_is_no_success(run, slide, calibration_fil
     assert code == 3
     assert "the object was lost in 4 of 5 frames" in " ".join(err.split())
     assert ["no", "contact", "4"] in [line.split() for line in out.splitlines()]
-
-
-def test_no_recording_is_said(fails, calibration_file, tmp_path):
-    how = ("-c", calibration_file, "-o", tmp_path / "t.csv")
-    assert "No recording" in fails("track", tmp_path / "missing.mcap", *how)

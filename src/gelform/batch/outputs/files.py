@@ -38,7 +38,7 @@ from gelform.foundations.files import written_file
 from gelform.result import Reconstruction
 from gelform.result.maps import KEPT_MAPS, MAPS
 
-FRAMES, PARTS = "frames", "parts"
+FRAMES, PARTS, SHEET = "frames", "parts", "sheet.png"
 KEPT, FORMATS = tuple(KEPT_MAPS), ("npz", "png", "zarr", "hdf5", "lerobot")
 Maps = Mapping[str, NDArray[Any]]
 
@@ -444,21 +444,18 @@ class ZarrArrays(PartWriter):
         if error[0] is not None:
             self._later.__exit__(*error)
             return
+        target, film = self._target, self._target.part.film
         with self._later:
             if self._chunks:
                 self._write_shards()
-            self._write_nodes()
-
-    def _write_nodes(self) -> None:
-        """Write the metadata of the arrays and of the groups above; every part of a sequence writes the same bytes."""
-        target, frames = self._target, self._target.part.film.count or self._count
-        for name, blank in self._blank.items():
-            attributes = {**attributes_of(name, target.settings), **target.facts}
-            node = _array_node(blank, frames, self._length, attributes)
-            self.files.append(self._later.write(target.folder / name / NODE, _json(node)))
-        group = _json({"zarr_format": 3, "node_type": "group", "attributes": {}})
-        for above in (target.part.film.name, *map(str, PurePosixPath(target.part.film.name).parents)):
-            self.files.append(self._later.write(target.output / FRAMES / above / NODE, group))
+            # Every part of a sequence writes the same bytes of the arrays' metadata, and of those of the groups above.
+            for name, blank in self._blank.items():
+                attributes = {**attributes_of(name, target.settings), **target.facts}
+                node = _array_node(blank, film.count or self._count, self._length, attributes)
+                self.files.append(self._later.write(target.folder / name / NODE, _json(node)))
+            group = _json({"zarr_format": 3, "node_type": "group", "attributes": {}})
+            for above in (film.name, *map(str, PurePosixPath(film.name).parents)):
+                self.files.append(self._later.write(target.output / FRAMES / above / NODE, group))
 
 
 def shard_frames(part_frames: int) -> int:

@@ -241,12 +241,16 @@ def write_lerobot_set(output: Path, files: list[str], source: Path) -> list[Outp
             episodes.setdefault(facts["key"], {})[facts["episode_index"]] = facts
     forces = _forces(episodes)
     for path in _to_copy(source):
-        (root / path).parent.mkdir(parents=True, exist_ok=True)
+        original, target = source / path, root / path
+        target.parent.mkdir(parents=True, exist_ok=True)
         if forces and path.parts[0] == "data" and path.suffix == ".parquet":
-            _write_with_forces(source / path, root / path, forces)
-        else:
-            _copy(source / path, root / path)
-        done.append(output_file(output, root / path))
+            _write_with_forces(original, target, forces)
+        # A copy of an interrupted run is kept if its bytes are equal.
+        elif not target.is_file() or output_file(root, target) != output_file(source, original):
+            whole = written_file(target, overwrite=True)
+            with cannot(f"copy {original}"), original.open("rb") as file, whole as copy:
+                shutil.copyfileobj(file, copy, 1 << 20)
+        done.append(output_file(output, target))
     for path in sorted((source / EPISODE_TABLES).glob("*/*.parquet")):
         done.append(write_output(output, root / path.relative_to(source), _table(path, episodes, forces)))
     if (source / STATS).is_file():
@@ -274,14 +278,6 @@ def _to_copy(source: Path) -> Iterator[Path]:
         for name in sorted(files):
             if not name.startswith(".") and (here / name).as_posix() not in (INFO, STATS):
                 yield here / name
-
-
-def _copy(path: Path, target: Path) -> None:
-    """Copy the file; an existing copy of an interrupted run is kept if its bytes are equal."""
-    if target.is_file() and len({output_file(one.parent, one).sha256 for one in (path, target)}) == 1:
-        return
-    with cannot(f"copy {path}"), path.open("rb") as file, written_file(target, overwrite=True) as copy:
-        shutil.copyfileobj(file, copy, 1 << 20)
 
 
 def _forces(episodes: Episodes) -> Vectors:

@@ -123,7 +123,7 @@ def reconstruct(
         check_pictures()
     from gelform.depth.solvers import SOLVERS
 
-    options.one_of(solver, ("auto", *SOLVERS), "--solver")
+    one_of(solver, ("auto", *SOLVERS), "--solver")
     used = given.calibration_of(images, shown.quiet)
     with shown.progress() as progress:
         run, pitch = given.reconstructor(used, solver=solver), used.mm_per_px
@@ -374,7 +374,7 @@ def _report_batch(summary: BatchSummary, output: Path, max_errors: int, quiet: b
             f"finished parts and the reasons are in {output / 'parts'}. Fix the files or allow more errors, and run again."
         )
     elif summary.complete:
-        sheet = output / "sheet.png"  # not written where no frame has depth
+        sheet = output / SHEET  # not written where no frame has depth
         look = f"; look at {sheet}" if sheet.exists() else ""
         say(f"Complete: {output / summary.table} has a row for each frame{look}.", quiet)
         if summary.errors:
