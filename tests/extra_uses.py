@@ -2,7 +2,7 @@
 
     python tests/extra_uses.py mesh        # where gelform[mesh] and nothing else is installed (`.ci/extras`)
 
-`test_extras.py` runs the same uses without the extras' packages.
+`test_release.py` runs the same uses without the extras' packages.
 """
 
 from __future__ import annotations
@@ -11,18 +11,18 @@ import contextlib
 import io
 import json
 import os
-import socket
 import subprocess
 import sys
 import tempfile
 import threading
 import urllib.request
 from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
 from gelform.cli import main
-from live_waiting import until
+from live_waiting import answers, free_port, until
 from made.files import EPISODES, KEY, write_lerobot_set
 from made.small_gel import Touch, calibration, image_of, save
 
@@ -50,26 +50,16 @@ def prepared(folder: Path) -> None:
         save(folder / "frames" / f"{k}.png", image_of(Touch(depth_mm=0.2 + 0.1 * k, seed=k)))
 
 
-def free_port() -> int:
-    with socket.socket() as one:
-        one.bind((HOST, 0))
-        return int(one.getsockname()[1])
-
-
 def batch(*more: str) -> None:
     """A batch of the frames, and its check."""
     command("batch", "frames", "-c", "cal.npz", "-o", "out", "-q", *more)
     command("batch", "verify", "out", "-q")
 
 
-def use_plots() -> None:
-    command("reconstruct", "frames/1.png", "-c", "cal.npz", "-o", "out", "--format", "png", "-q")
-    assert Path("out/1.png").stat().st_size > 10_000
-
-
-def use_mesh() -> None:
-    command("reconstruct", "frames/1.png", "-c", "cal.npz", "-o", "out", "--format", "stl", "-q")
-    assert Path("out/1.stl").stat().st_size > 10_000
+def surface(form: str) -> None:
+    """A picture or a mesh of a frame."""
+    command("reconstruct", "frames/1.png", "-c", "cal.npz", "-o", "out", "--format", form, "-q")
+    assert Path(f"out/1.{form}").stat().st_size > 10_000
 
 
 def use_mcap() -> None:
@@ -123,14 +113,6 @@ def use_zenoh() -> None:
         subscription.undeclare()
 
 
-def use_zarr() -> None:
-    batch("--format", "zarr")
-
-
-def use_hdf5() -> None:
-    batch("--format", "hdf5")
-
-
 def use_parquet() -> None:
     batch("--table", "parquet")
     from pyarrow import parquet
@@ -154,10 +136,6 @@ def use_lerobot() -> None:
         write_lerobot_set(Path("set"), [image_of(Touch(seed=k)) for k in range(sum(EPISODES))])
     command("batch", "set", "--dataset", KEY, "-c", "cal.npz", "-o", "out", "--format", "lerobot", "-q")
     command("batch", "verify", "out", "-q")
-
-
-def use_ray() -> None:
-    batch("--engine", "ray", "--workers", "2")
 
 
 def shown_frame():
@@ -190,14 +168,6 @@ def use_rerun() -> None:
     finally:
         receiver.terminate()
         receiver.wait(20)
-
-
-def answers(port: int) -> bool:
-    try:
-        socket.create_connection((HOST, port), timeout=1).close()
-    except OSError:
-        return False
-    return True
 
 
 def use_foxglove() -> None:
@@ -243,7 +213,12 @@ def use_docs() -> None:
 
 
 USES: dict[str, Callable[[], None]] = {
-    name.removeprefix("use_"): use for name, use in list(globals().items()) if name.startswith("use_")
+    "plots": partial(surface, "png"),
+    "mesh": partial(surface, "stl"),
+    "zarr": partial(batch, "--format", "zarr"),
+    "hdf5": partial(batch, "--format", "hdf5"),
+    "ray": partial(batch, "--engine", "ray", "--workers", "2"),
+    **{name[4:]: use for name, use in list(globals().items()) if name.startswith("use_")},
 }
 # the extras with several uses; every other use has an extra of its name
 EXTRA_OF = dict.fromkeys(("zarr", "hdf5", "parquet", "lerobot"), "data") | {

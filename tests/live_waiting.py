@@ -1,5 +1,6 @@
-"""Waiting for the work of other threads."""
+"""Waiting for the work of other threads and programs."""
 
+import socket
 import time
 
 from gelform.sensors.simulated import PRESS_S
@@ -14,6 +15,22 @@ def until(true, timeout_s=HANGS_S):
         assert time.monotonic() < stop, "it did not happen in time"
         time.sleep(0.01)
     return given
+
+
+def free_port():
+    """A port of this machine that nobody listens on."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
+
+
+def answers(port):
+    """Whether a program of this machine listens on a port."""
+    try:
+        socket.create_connection(("127.0.0.1", port), timeout=1).close()
+    except OSError:
+        return False
+    return True
 
 
 def next_of(socket, wanted, timeout_s=HANGS_S):

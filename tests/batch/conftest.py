@@ -1,11 +1,10 @@
 """A small data set: two folders of images of an exactly known gel; one folder also contains invalid files."""
 
-import cv2
 import numpy as np
 import pytest
 
-from made.files import EPISODES, write_lerobot_set
-from made.small_gel import SHAPE, Touch, calibration, image_of, save
+from made.files import EPISODES, video, write_lerobot_set
+from made.small_gel import Touch, calibration, image_of, save
 
 COUNT = 4  # images in each folder
 
@@ -45,14 +44,7 @@ def cal():
 @pytest.fixture
 def film(tmp_path, images):
     """A video of the touches, without loss."""
-    path = tmp_path / "press.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 25, SHAPE[::-1])
-    if not writer.isOpened():
-        pytest.skip("this build of OpenCV cannot write FFV1")
-    for image in images:
-        writer.write(np.ascontiguousarray(image[..., ::-1]))
-    writer.release()
-    return path
+    return video(tmp_path / "press.avi", images)
 
 
 @pytest.fixture

@@ -131,20 +131,8 @@ def test_a_full_disk_leaves_none_of_them(tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == set(outputs.REPORT_FILES)
 
 
-@pytest.fixture
-def calibration(calibration_file):
-    return load_calibration(calibration_file)
-
-
-def test_images_go_through_the_view(calibration, press_folder):
-    path = press_folder / "images" / "0001.png"
-    assert Inputs().image(path, calibration).shape == (120, 160, 3)
-    assert Inputs().background_for(calibration) is None
-    given = Inputs(background=press_folder / "background.png")
-    assert given.background_for(calibration).shape == (120, 160, 3)
-
-
-def test_another_size_names_the_file(calibration, tmp_path):
+def test_another_size_names_the_file(calibration_file, tmp_path):
+    calibration = load_calibration(calibration_file)
     save_picture(tmp_path / "small.png", np.zeros((60, 80, 3), dtype=np.uint8))
     small = tmp_path / "small.png"
     for read in (partial(Inputs().image, small), Inputs(background=small).background_for):

@@ -6,7 +6,6 @@ import importlib.util
 import json
 import os
 import signal
-import socket
 import struct
 import subprocess
 import sys
@@ -19,7 +18,7 @@ import pytest
 
 from gelform.errors import DataError, GelformError
 from gelform.live.sinks import HOST, SINKS, Feeder, FoxgloveSink, RerunSink, feed
-from live_waiting import until
+from live_waiting import answers, free_port, until
 
 
 class Recorded:
@@ -143,20 +142,6 @@ def test_a_port_that_is_taken_is_said(sink):
     port = int(sink.address.rpartition(":")[2])
     with pytest.raises(GelformError, match=rf"cannot listen on 127\.0\.0\.1:{port}.*End it"):
         FoxgloveSink(port)
-
-
-def free_port():
-    with socket.socket() as one:
-        one.bind((HOST, 0))
-        return one.getsockname()[1]
-
-
-def answers(port):
-    try:
-        socket.create_connection((HOST, port), timeout=1).close()
-    except OSError:
-        return False
-    return True
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +12,7 @@ from gelform.image.view import Frame
 from gelform.robots.send import save_bag
 from gelform.sensors.playback import RecordingFacts
 from gelform.simulate import Ball, Pose, simulate_pose
+from live_waiting import free_port
 from made.sources import recorded
 
 START_NS, RATE_HZ = 1_700_000_000_123_456_789, 50
@@ -65,9 +65,7 @@ def router():
             config.insert_json5(key, json.dumps(value))
         return zenoh.open(config)
 
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{one.getsockname()[1]}"
+    address = f"tcp/127.0.0.1:{free_port()}"
     session = opened(mode="router", **{"listen/endpoints": [address]})
     yield SimpleNamespace(address=address, session=session, opened=opened)
     session.close()

@@ -17,7 +17,7 @@ from typing import Any
 from gelform import DataError, __version__
 from gelform.batch.outputs.files import FRAMES, INDEX, PARTS, SHEET, OutputFile, output_file
 from gelform.errors import Progress, no_progress
-from gelform.foundations.checks import check_path
+from gelform.foundations.checks import check_choice, check_path
 from gelform.foundations.files import table_text, written_file
 
 MANIFEST, KIND, FORMAT_VERSION = "manifest.json", "gelform batch", 1
@@ -237,8 +237,7 @@ def _digest(line: bytes) -> bytes:
 
 def table_form(asked: str = "auto") -> str:
     """The form of the table: "auto" is "parquet" if pyarrow is installed, else "csv". DataError for Parquet without it."""
-    if asked not in ("auto", *TABLES):
-        raise ValueError(f"Expected a table among auto, {', '.join(TABLES)}, got {asked!r}.")
+    check_choice(asked, ("auto", *TABLES), "a table")
     there = find_spec("pyarrow") is not None
     if asked == "parquet" and not there:
         raise DataError(

@@ -109,10 +109,15 @@ def numbers(text: str, form: str, option: str) -> tuple[float, ...]:
     return found
 
 
-def one_of(name: str, names: tuple[str, ...], option: str) -> str:
+def names_from(text: str) -> tuple[str, ...]:
+    """Names separated by commas, each once."""
+    return tuple(dict.fromkeys(one.strip() for one in text.split(",") if one.strip()))
+
+
+def one_of(name: str, known: tuple[str, ...], option: str) -> str:
     """The name, if it is a known one."""
-    if name not in names:
-        raise BadParameter(f"expected {listed(names)}, got {name!r}.", param_hint=option)
+    if name not in known:
+        raise BadParameter(f"expected {listed(known)}, got {name!r}.", param_hint=option)
     return name
 
 

@@ -19,7 +19,7 @@ from gelform.calibration.library import (
     unit_named,
     unit_of_camera,
 )
-from gelform.depth.solvers import SOLVERS
+from gelform.depth.integrate import checked_solver
 from gelform.errors import Progress
 from gelform.image.agreement import check_untouched
 from gelform.image.background import USUAL_FRAMES
@@ -149,9 +149,7 @@ def use_calibration(hub: Hub, station: Station, name: str) -> None:
 
 def use_solver(hub: Hub, station: Station, name: str) -> None:
     """Integrate with another solver."""
-    if name not in ("auto", *SOLVERS):
-        raise GelformError(f"Expected a solver among auto, {', '.join(SOLVERS)}, got {name!r}.")
-    station.setup = replace(station.setup, solver=name)
+    station.setup = replace(station.setup, solver=checked_solver(name))
     hub.changed()
 
 

@@ -9,7 +9,6 @@ import re
 import shutil
 import time
 
-import cv2
 import numpy as np
 import pytest
 
@@ -19,6 +18,7 @@ from gelform.calibration.starters import load_starter
 from gelform.calibration_file import load_calibration
 from gelform.exchange.plots import save_picture
 from gelform.simulate import LAYOUTS, Ball, Pose, simulate_background, simulate_press, simulate_sequence
+from made.files import video
 
 
 def test_a_calibration_and_its_report_whose_circles_can_be_labels(works, folder, tmp_path):
@@ -96,11 +96,8 @@ def test_a_video(works, small, tmp_path):
     rng, poses = np.random.default_rng(1), [Pose(-1)] * 12
     for x, y in np.stack(np.meshgrid([-5, 0, 5], [-3.5, 0, 3.5]), axis=-1).reshape(-1, 2):
         poses += [*[Pose(0.7, (x, y))] * 7, *[Pose(-1)] * 5]
-    path = tmp_path / "presses.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 25.0, small.shape[::-1])
-    for press in simulate_sequence(small, Ball(3), poses, rng=rng):
-        writer.write(cv2.cvtColor(press.image, cv2.COLOR_RGB2BGR))
-    writer.release()
+    images = [press.image for press in simulate_sequence(small, Ball(3), poses, rng=rng)]
+    path = video(tmp_path / "presses.avi", images)
     given = ("--mm-per-px", small.mm_per_px, "--ball-diameter-mm", 6)
     err = works("calibrate", path, "-o", tmp_path / "cal.npz", "--model", "polynomial", *given)[1]
     assert "9 of 9 presses used" in err

@@ -234,9 +234,6 @@ def test_the_simulated_sensor_needs_no_calibration(works, library, tmp_path):
 
 
 def test_a_file_is_no_library(fails, monkeypatch, tmp_path):
-    calibration().save(tmp_path / "cal.npz")
+    (tmp_path / "cal.npz").write_text("")
     monkeypatch.setenv("GELFORM_CALIBRATIONS", str(tmp_path / "cal.npz"))
     assert f"got the file {tmp_path / 'cal.npz'}. Name a folder" in fails("calibrations", "list")
-    assert "got the file" in fails("calibrations", "add", tmp_path / "cal.npz")
-    monkeypatch.setenv("GELFORM_CALIBRATIONS", "relative")
-    assert "Expected an absolute path in GELFORM_CALIBRATIONS" in fails("calibrations", "list")

@@ -21,6 +21,7 @@ from gelform.sensors import cameras
 from gelform.sensors.files import read_image
 from gelform.sensors.mcap import McapRecording
 from gelform.sensors.playback import RecordingFacts
+from made.files import video
 from made.sources import frames
 
 DECLARED = [
@@ -168,11 +169,7 @@ def test_frames_of_one_press_count_once(run_json, press_folder, tmp_path):
 
 
 def test_a_video_and_what_it_lacks(run, run_json, press_folder, tmp_path):
-    path = tmp_path / "presses.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25.0, (160, 120))
-    for _ in range(10):
-        writer.write(cv2.imread(str(press_folder / "background.png")))
-    writer.release()
+    path = video(tmp_path / "presses.avi", [read_image(press_folder / "background.png")] * 10)
     said = run_json("info", path)
     assert (said["kind"], said["size_px"], said["frames"]) == ("video", [120, 160], 10)
     assert said["duration_s"] == pytest.approx(0.4)

@@ -10,6 +10,7 @@ from gelform.calibration.fit import evaluate
 from gelform.calibration.presses.folder import read_presses
 from gelform.calibration_file import load_calibration
 from gelform.cli.commands import inspection
+from gelform.exchange import plots
 from gelform.exchange.plots import save_picture
 
 
@@ -82,11 +83,20 @@ def images_of(press_folder):
 
 @pytest.mark.slow
 def test_compare_writes_a_picture_for_each_image(
-    works, run_json, imported, calibration_file, press_folder, tmp_path
+    works, run_json, imported, calibration_file, press_folder, tmp_path, monkeypatch
 ):
     pytest.importorskip("matplotlib", reason="matplotlib, the extra `plots`, is not installed")
-    images, folder = images_of(press_folder), tmp_path / "side"
+    images, folder, drawn = images_of(press_folder), tmp_path / "side", []
+    draw = plots.comparison_picture
+
+    def noted(a, b, image, *, names):
+        drawn.append((a.mm_per_px, b.mm_per_px, *names))
+        return draw(a, b, image, names=names)
+
+    monkeypatch.setattr(plots, "comparison_picture", noted)
     said = run_json("compare", *images, "-c", calibration_file, "-c", imported, "-o", folder)
+    scale = load_calibration(calibration_file).mm_per_px
+    assert drawn == [(scale, None, calibration_file.stem, "imported")] * 2
     assert [row["image"] for row in said["images"]] == [str(image) for image in images]
     for image, row in zip(images, said["images"]):
         assert gelform.read_image(folder / f"{image.stem}.png").shape[2] == 3

@@ -13,6 +13,7 @@ import gelform
 from gelform.exchange.plots import save_picture
 from gelform.result import load_result
 from gelform.sensors.files import read_image
+from made.files import video
 from made.small_gel import calibration, save
 
 pytest.importorskip("matplotlib", reason="pictures need the extra 'plots'")
@@ -72,11 +73,7 @@ def test_a_video_becomes_whole_results_to_look_at(
     run, works, calibration_file, press_folder, tmp_path, opened
 ):
     frames = [read_image(press_folder / "images" / f"{k:04d}.png") for k in range(3)]
-    path = tmp_path / "press.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 25.0, frames[0].shape[1::-1])
-    for frame in frames:
-        writer.write(np.ascontiguousarray(frame[..., ::-1]))
-    writer.release()
+    path = video(tmp_path / "press.avi", frames)
     given = ("reconstruct", path, "-c", calibration_file, "-o", tmp_path / "out")
     works(*given, "--view")
     result = load_result(tmp_path / "out" / "frames" / "press.avi" / "000002.npz")

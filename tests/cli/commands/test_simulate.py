@@ -10,6 +10,7 @@ from gelform.calibration.presses.folder import read_presses
 from gelform.cli.commands import simulate as commands
 from gelform.exchange.plots import save_picture
 from gelform.result import load_result
+from gelform.result.metrics import angle_deg
 from gelform.sensors.files import read_image
 from gelform.simulate import LAYOUTS
 
@@ -152,6 +153,12 @@ def test_the_whole_path_and_its_errors(run_json, fails, monkeypatch, tmp_path):
     assert {"ball.png", "coin.png", "screw.png", "border.png", "report/report.html"} <= names
     assert json.loads((tmp_path / "d" / "errors.json").read_text()) == said["errors"]
     assert abs(said["errors"]["ball"]["peak_ratio"] - 1) < 0.15
-    assert said["errors"]["ball"]["rmse_um"] < 40
+    ball = said["errors"]["ball"]
+    assert ball["rmse_um"] < 40
+    press, found = dict(commands._objects(LAYOUTS["small"]))["ball"], load_result(tmp_path / "d" / "ball.npz")
+    off_um = 1e3 * (found.depth_mm - press.depth_mm)[press.contact]
+    assert ball["rmse_contact_um"] == pytest.approx(np.sqrt(np.mean(off_um**2)), rel=1e-5)
+    degrees = angle_deg(found.gradients, press.gradients)[press.contact].mean()
+    assert ball["normal_contact_deg"] == pytest.approx(degrees, rel=1e-5)
     assert load_result(tmp_path / "d" / "border.npz").contact.any()
     assert "holds something" in fails("demo", "-o", tmp_path / "d")

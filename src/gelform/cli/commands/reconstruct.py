@@ -81,7 +81,7 @@ def reconstruct(
       gelform reconstruct frame.png --sensor gelsight-mini --background rest.png -o out
       gelform reconstruct today/*.png -c cal.npz --background today_rest.png -o out --json
     """
-    wanted = list(dict.fromkeys(one.strip() for one in formats.split(",") if one.strip()))
+    wanted = [*options.names_from(formats)]
     if not wanted or not {*wanted} <= {*FORMATS}:
         expected = f"expected formats among {', '.join(FORMATS)}, got {formats!r}."
         raise BadParameter(expected, param_hint="--format")
@@ -303,7 +303,7 @@ def batch(
     from gelform.calibration.library import NoCalibration
 
     one_of(table, ("auto", "parquet", "csv"), "--table")
-    maps = tuple(dict.fromkeys(one.strip() for one in keep.split(",") if one.strip()))
+    maps = options.names_from(keep)
     with usage_errors():
         settings = BatchSettings(
             form, maps, solver, given.background_frames, dtype=dtype or "", bgr=given.bgr

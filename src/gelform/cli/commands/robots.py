@@ -37,7 +37,7 @@ class Sent:
     def settings(self) -> dict[str, Any]:
         """Keywords of `save_bag` and `publish`; raises a usage error for an unknown topic or an invalid name."""
         with usage_errors("--topics"):
-            topics = check_topics(one.strip() for one in self.topics.split(",") if one.strip())
+            topics = check_topics(options.names_from(self.topics))
         with usage_errors("--name"):
             if self.name is not None:
                 check_sensor_name(self.name)
