@@ -3,11 +3,14 @@
 `GELFORM_ROBUSTNESS_FACTOR=5` asks for the 20 kills of each command that the guarantees speak of.
 
 Full and read-only disks, no home: one sentence before the work, and nothing that stays.
+
+Calls of the command line with odd arguments and damaged inputs: each ends well, or in a sentence; none in a bug.
 """
 
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -20,6 +23,7 @@ import pytest
 import gelform
 from gelform.cli import main
 from gelform.cli.app import command_names
+from hostile.calls import inputs_in, is_fault, known_faults, made_calls
 from hostile.commands import LIBRARY, SERVERS, WRITE_NOTHING, commands, make_work, prepare
 from hostile.outcome import FACTOR
 from made.sources import small_disk
@@ -184,3 +188,25 @@ def test_no_home_and_no_cache_are_no_matter(work, tmp_path):
     done = subprocess.run(program, capture_output=True, text=True, env={**os.environ, **nowhere})
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert len(list((tmp_path / "results").glob("*.png"))) == 3
+
+
+CALLS = round(30 * FACTOR)
+
+
+@pytest.mark.slow
+def test_no_call_ends_in_a_bug(tmp_path, monkeypatch, capfd):
+    (tmp_path / "inputs").mkdir()
+    template, faults = inputs_in(tmp_path / "inputs" / "work"), []
+    known = len(list(known_faults(template, tmp_path)))
+    template = inputs_in(tmp_path / "whole")
+    for call, here in made_calls(template, tmp_path, known + CALLS, seed=1):
+        for name in ("HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME"):
+            monkeypatch.setenv(name, str(here / "home"))
+        monkeypatch.chdir(here)
+        with pytest.raises(SystemExit) as stopped:
+            main(call)
+        said = capfd.readouterr()
+        if is_fault(stopped.value.code or 0, said.out + said.err):
+            faults.append(f"{shlex.join(call)[:300]}: {said.err[-300:]}")
+        monkeypatch.chdir(tmp_path)
+    assert faults == []

@@ -83,17 +83,6 @@ def test_frames_of_another_sensor_are_no_success(run, foreign_images, calibratio
     assert command == "reconstruct" or "Findings in 4 frames: background_differs 100 %" in err
 
 
-def test_half_of_the_frames_in_doubt_are_not_most(run, work, tmp_path):
-    """A brightness 15 % off asks for a new background; one of two such frames does not end with status 3."""
-    (tmp_path / "in").mkdir()
-    image = cv2.imread(str(work / "image0.png"))
-    cv2.imwrite(str(tmp_path / "in" / "same.png"), image)
-    for name, code in (("dark.png", 0), ("darker.png", 3)):
-        cv2.imwrite(str(tmp_path / "in" / name), (0.85 * image).astype(np.uint8))
-        how = ("-c", work / "cal.npz", "-o", tmp_path / name)
-        assert run("batch", tmp_path / "in", *how)[0] == code
-
-
 def test_the_table_is_csv_where_parquet_cannot_be_written(works, work, images, tmp_path, monkeypatch):
     monkeypatch.setattr("gelform.batch.records.find_spec", lambda name: None)
     for more, said in (((), True), (("--table", "csv"), False)):

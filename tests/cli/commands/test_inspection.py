@@ -46,13 +46,18 @@ def test_evaluate_ends_with_what_the_errors_mean():
     assert "states no errors of its own" in inspection.verdict_of(then, {})
 
 
-def test_folders_are_their_images(run_json, fails, press_folder, calibration_file, tmp_path):
+def test_folders_are_their_images_and_a_calibration_agrees_with_itself(
+    run_json, fails, press_folder, calibration_file, tmp_path
+):
     folder, mine = press_folder / "images", ("-c", calibration_file)
     background = ("--background", press_folder / "background.png")
     compared = run_json("compare", folder, *mine, *mine)["images"]
     assert [row["image"] for row in compared] == [str(path) for path in sorted(folder.iterdir())]
     explained = run_json("explain", folder, *mine, *background)["images"]
     assert len(explained) == len(compared)
+    for row in compared:
+        assert (row["unit"], row["difference_rms"], row["angle_deg"]) == ("mm", 0, 0)
+        assert row["peak_a"] == row["peak_b"] > 0
     np.save(tmp_path / "stack.npy", np.zeros((2, 120, 160, 3), np.uint8))
     for command in (("compare", *mine, *mine), ("explain", *mine)):
         assert "Its frames: gelform batch" in fails(command[0], tmp_path / "stack.npy", *command[1:])
@@ -104,13 +109,6 @@ def test_compare_writes_a_picture_for_each_image(
         assert row["peak_a"] > 0
     out = works("compare", images[0], "-c", calibration_file, "-c", calibration_file)[0]
     assert "peak A (mm)" in out
-
-
-def test_a_calibration_agrees_with_itself(run_json, calibration_file, press_folder):
-    mine = ("-c", calibration_file)
-    (row,) = run_json("compare", images_of(press_folder)[0], *mine, *mine)["images"]
-    assert (row["unit"], row["difference_rms"], row["angle_deg"]) == ("mm", 0, 0)
-    assert row["peak_a"] == row["peak_b"] > 0
 
 
 @pytest.mark.slow

@@ -202,19 +202,23 @@ def test_no_terminal_is_said_and_no_file_is_left(fails, monkeypatch, tmp_path):
     assert not (tmp_path / "r").exists()
 
 
-def test_a_background_that_something_touches_is_refused_once(capsys, monkeypatch):
+def test_a_background_that_something_touches_is_refused_once_and_a_dark_surround_is_named(
+    capsys, monkeypatch
+):
     """Of a make with a starter; the second space bar takes what is there."""
     known = {"simulated-three-edges": load_starter("simulated-three-edges")}
     monkeypatch.setattr("gelform.calibration.starters.starter_for", lambda name, _: known.get(name))
     layout, rng = LAYOUTS["three-edges"], np.random.default_rng(2)
     touched = np.asarray(simulate_press(layout, Ball(2.5), depth_mm=0.5, rng=rng).image)
     rest = np.asarray(simulate_background(layout, rng))
+    framed = np.pad(rest, ((0, 0), (40, 0), (0, 0)), constant_values=2)
     settings = SensorSettings("simulated-three-edges", layout.mm_per_px)
     for name, first, keys, taken, said in (
-        ("simulated-three-edges", touched, " ", touched, True),
-        ("simulated-three-edges", touched, "q", None, True),
-        ("simulated-three-edges", rest, "", rest, False),
-        ("another", touched, "", touched, False),
+        ("simulated-three-edges", touched, " ", touched, "Something touches the gel"),
+        ("simulated-three-edges", touched, "q", None, "Something touches the gel"),
+        ("simulated-three-edges", rest, "", rest, "^$"),
+        ("another", touched, "", touched, "^$"),
+        ("another", framed, "", framed, r"outside the gel.* --crop 4\d,0,\d+,\d+"),
     ):
         source = ImageSource([first], rate_hz=100)
         with Grabber(lambda source=source: source) as grabber:
@@ -222,18 +226,7 @@ def test_a_background_that_something_touches_is_refused_once(capsys, monkeypatch
             images = _at_rest(grabber, lambda keyboard=keyboard: next(keyboard), replace(settings, name=name))
         assert len(images) == (0 if taken is None else 10)
         assert all((image == taken).all() for image in images)
-        assert ("Something touches the gel" in capsys.readouterr().err) == said
-
-
-def test_a_dark_surround_is_named_with_the_crop_that_fits(capsys):
-    rest = np.asarray(simulate_background(LAYOUTS["three-edges"], np.random.default_rng(2)))
-    framed = np.pad(rest, ((0, 0), (40, 0), (0, 0)), constant_values=2)
-    for image, said in ((rest, False), (framed, True)):
-        source = ImageSource([image], rate_hz=100)
-        with Grabber(lambda source=source: source) as grabber:
-            assert len(_at_rest(grabber, str, SensorSettings("another", 0.05))) == 10
-        assert ("outside the gel" in (note := capsys.readouterr().err)) == said
-    assert re.search(r"--crop 4\d,0,\d+,\d+", " ".join(note.split()))
+        assert re.search(said, " ".join(capsys.readouterr().err.split()))
 
 
 def test_why_frames_are_missing_is_said_and_is_a_warning_over_5_percent():
