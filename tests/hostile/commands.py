@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -62,51 +61,33 @@ def _loads(folder: Path) -> None:
     (folder / "loads.csv").write_text("\n".join([*lines, ""]))
 
 
-def commands(work: Path, out: Path) -> dict[str, list[Any]]:
+def commands(work: Path, out: Path) -> dict[str, list[str]]:
     """The arguments of each command that writes, with its output below `out`."""
-    images = [work / f"image{k}.png" for k in range(3)]
-    imported = [
-        "--from",
-        "gsrobotics-web",
-        "--position",
-        "true",
-        "--background",
-        work / "rest.png",
-        "--mm-per-px",
-        "0.1",
-    ]
-    fitted = ["--model", "polynomial", "--report", out / "report"]
-    two = ["-c", work / "cal.npz", "-c", work / "cal.npz"]
-    leds = [work / f"{name}.png" for name in ("red", "green", "blue")]
-    return {
-        "demo": ["demo", "-o", out / "demo"],
-        "calibrate": ["calibrate", work / "presses", *fitted, "-o", out / "cal.npz"],
-        "force": ["force", "calibrate", work / "loads", "-c", work / "cal.npz", "-o", out / "force.npz"],
-        "starter": ["starter", "digit", "--background", work / "digit.png", "-o", out / "unit.npz"],
-        "reconstruct": ["reconstruct", *images, "-c", work / "cal.npz", "-o", out / "results"],
-        "scale": ["scale", out / "sensor.toml", "--points", "20,30,60,30,4"],
-        "lens": [
-            "lens",
-            out / "sensor.toml",
-            "--image",
-            work / "grid.png",
-            "--grid",
-            "8x6",
-            "--pitch-mm",
-            "1.2",
-        ],
-        "crosstalk": ["crosstalk", out / "sensor.toml", *leds],
-        "simulate": ["simulate", "-o", out / "set", "--count", "2", "--sensor", "three-edges"],
-        "design": ["design", "three-edges", "--presses", "4", "-o", out / "design.png"],
-        "import": ["import", work / "net.bin", *imported, "-o", out / "imported.npz"],
-        "batch": ["batch", work / "image*.png", "-c", work / "cal.npz", "-o", out / "batch"],
-        "compare": ["compare", images[0], *two, "-o", out / "compared"],
-        "explain": ["explain", images[0], "-c", work / "cal.npz", "-o", out / "why"],
-        "export": ["export", work / "result.npz", "--to", "tiff", "-o", out / "depth.tiff"],
-        "record": ["record", work / "frames", "-o", out / "recorded.mcap", "--frames", "3"],
-        "bag": ["bag", work / "frames", "-c", work / "cal.npz", "-o", out / "bag"],
-        "track": ["track", work / "frames", "-c", work / "cal.npz", "-o", out / "track.csv"],
+    images = " ".join(f"{work}/image{k}.png" for k in range(3))
+    leds = " ".join(f"{work}/{name}.png" for name in ("red", "green", "blue"))
+    cal = f"-c {work}/cal.npz"
+    imported = f"--from gsrobotics-web --position true --background {work}/rest.png --mm-per-px 0.1"
+    calls = {
+        "demo": f"demo -o {out}/demo",
+        "calibrate": f"calibrate {work}/presses --model polynomial --report {out}/report -o {out}/cal.npz",
+        "force": f"force calibrate {work}/loads {cal} -o {out}/force.npz",
+        "starter": f"starter digit --background {work}/digit.png -o {out}/unit.npz",
+        "reconstruct": f"reconstruct {images} {cal} -o {out}/results",
+        "scale": f"scale {out}/sensor.toml --points 20,30,60,30,4",
+        "lens": f"lens {out}/sensor.toml --image {work}/grid.png --grid 8x6 --pitch-mm 1.2",
+        "crosstalk": f"crosstalk {out}/sensor.toml {leds}",
+        "simulate": f"simulate -o {out}/set --count 2 --sensor three-edges",
+        "design": f"design three-edges --presses 4 -o {out}/design.png",
+        "import": f"import {work}/net.bin {imported} -o {out}/imported.npz",
+        "batch": f"batch {work}/image*.png {cal} -o {out}/batch",
+        "compare": f"compare {work}/image0.png {cal} {cal} -o {out}/compared",
+        "explain": f"explain {work}/image0.png {cal} -o {out}/why",
+        "export": f"export {work}/result.npz --to tiff -o {out}/depth.tiff",
+        "record": f"record {work}/frames -o {out}/recorded.mcap --frames 3",
+        "bag": f"bag {work}/frames {cal} -o {out}/bag",
+        "track": f"track {work}/frames {cal} -o {out}/track.csv",
     }
+    return {name: call.split() for name, call in calls.items()}
 
 
 def prepare(out: Path) -> None:
