@@ -225,7 +225,7 @@ def _opened(path: Path) -> AbstractContextManager[Any]:
         ) from problem
 
 
-INFO, STATS, EPISODES = "meta/info.json", "meta/stats.json", "meta/episodes"
+INFO, STATS, EPISODE_TABLES = "meta/info.json", "meta/stats.json", "meta/episodes"
 LEROBOT_PATH = re.compile(r"([^{}]|{(video_key|(chunk|file)_index(:0\dd)?)})+")  # the format's fields alone
 
 
@@ -254,13 +254,13 @@ def lerobot_episodes(root: Path, columns: list[str]) -> list[dict[str, Any]]:
     parquet, pyarrow = (needed(name, "data", "LeRobot") for name in ("pyarrow.parquet", "pyarrow"))
     rows: list[dict[str, Any]] = []
     try:
-        for path in sorted((root / EPISODES).glob("*/*.parquet")):
+        for path in sorted((root / EPISODE_TABLES).glob("*/*.parquet")):
             rows += parquet.read_table(path, columns=columns).to_pylist()
     except (pyarrow.ArrowException, OSError, KeyError) as problem:
         raise DataError(f"Cannot read the episodes of {root}: {problem}.") from problem
     if not rows or set(rows[0]) != set(columns):
         lacking = sorted(set(columns) - set(rows[0] if rows else ()))
-        raise DataError(f"Expected {', '.join(lacking)} in {root / EPISODES}, got none.")
+        raise DataError(f"Expected {', '.join(lacking)} in {root / EPISODE_TABLES}, got none.")
     return sorted(rows, key=lambda row: row["episode_index"])
 
 

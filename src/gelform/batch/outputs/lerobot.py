@@ -26,8 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.batch.containers import EPISODES as EPISODE_TABLES
-from gelform.batch.containers import INFO, STATS, lerobot_info
+from gelform.batch.containers import EPISODE_TABLES, INFO, STATS, lerobot_info
 from gelform.batch.outputs.files import (
     FRAMES,
     PARTS,
