@@ -83,6 +83,16 @@ def ball_diameter(text: str) -> float:
         return check_ball_diameter(positive(text))
 
 
+def argument(metavar: str, help: str) -> Any:
+    """An argument under the name that the help shows."""
+    return Argument(metavar=metavar, help=help)
+
+
+def option(metavar: str, help: str) -> Any:
+    """An option of the parameter's own name, whose value the help names so."""
+    return Option(metavar=metavar, help=help)
+
+
 def number(help: str, parser: Callable[[str], float] = positive) -> Any:
     """An option that takes a finite number > 0, or a value for another parser."""
     return Option(metavar="F", parser=parser, help=help)
@@ -127,7 +137,7 @@ AcceptDoubtful = Annotated[
     bool, Option("--accept-doubtful", help="Exit with status 0 though the depth of most frames is doubtful.")
 ]
 Overwrite = Annotated[bool, Option("--overwrite", help="Replace results that are already there.")]
-Images = Annotated[list[Path], Argument(metavar="IMAGE...", help="Images of the sensor, or folders of them.")]
+Images = Annotated[list[Path], argument("IMAGE...", "Images of the sensor, or folders of them.")]
 ResultFolder = Annotated[Path, output("DIR", "Folder for the results.")]
 NewFolder = Annotated[Path, output("DIR", "A new or empty folder.")]
 PictureFolder = Annotated[Path | None, output("DIR", "Folder for a picture of each image.")]
@@ -144,17 +154,13 @@ StarterSensor = Annotated[
         help=f"For a sensor without a calibration: the starter of its make, {listed(STARTERS)}.",
     ),
 ]
-Sensor = Annotated[
-    str | None, Option(metavar="PROFILE", help=f"Make, for crop and scale: {listed(tuple(PROFILES))}.")
-]
+Sensor = Annotated[str | None, option("PROFILE", f"Make, for crop and scale: {listed(tuple(PROFILES))}.")]
 MmPerPx = Annotated[float | None, number("Width of an image pixel on the gel, mm.", pitch)]
 Background = Annotated[
-    Path | None, Option(metavar="IMG|DIR", help="Gel at rest: an image, or a folder of several to average.")
+    Path | None, option("IMG|DIR", "Gel at rest: an image, or a folder of several to average.")
 ]
 Bgr = Annotated[bool, Option("--bgr", help="The frames are blue, green, red, as OpenCV writes an array.")]
-Dataset = Annotated[
-    str, Option(metavar="PATH", help="Where frames are in HDF5, Zarr, LeRobot; * stands for one name.")
-]
+Dataset = Annotated[str, option("PATH", "Where frames are in HDF5, Zarr, LeRobot; * stands for one name.")]
 Solver = Annotated[str, Option(help="Solver from slopes to depth; auto chooses.")]
 Seconds = Annotated[float | None, number("Duration in seconds; else to the end or Ctrl-C.")]
 Seed = Annotated[int, Option(min=0, help="Seed of the random numbers.")]

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, BadParameter, Option
+from typer import BadParameter, Option
 
 import gelform
 from gelform import DataError
@@ -23,34 +23,30 @@ from gelform.cli.files import (
     starter_calibration,
     write_report,
 )
-from gelform.cli.options import listed, number, numbers, one_of
+from gelform.cli.options import argument, listed, number, numbers, one_of, option
 
-Place = Annotated[Path, Argument(metavar="PLACE", help="Press folder, or its sensor.toml, to write into.")]
+Place = Annotated[Path, argument("PLACE", "Press folder, or its sensor.toml, to write into.")]
 MODELS = ("auto", *options.COLOR_MODELS)
 
 
 def calibrate(
     *,
-    presses: Annotated[
-        Path, Argument(metavar="PRESSES", help="Ball presses: a folder, a video or a recording.")
-    ],
+    presses: Annotated[Path, argument("PRESSES", "Ball presses: a folder, a video or a recording.")],
     output: options.NewCalibration,
-    model: Annotated[str, Option(metavar="NAME", help=f"Color model: {listed(MODELS)}.")] = "auto",
+    model: Annotated[str, option("NAME", f"Color model: {listed(MODELS)}.")] = "auto",
     start: Annotated[
         str,
-        Option(
-            metavar="CAL.npz",
-            help="Start from another unit's calibration: then 5 presses read slopes as 10 alone. auto: a known make's "
+        option(
+            "CAL.npz",
+            "Start from another unit's calibration: then 5 presses read slopes as 10 alone. auto: a known make's "
             "starter; none.",
         ),
     ] = "auto",
     given: options.PressOptions,
     crop: Annotated[
-        str | None, Option(metavar="L,T,W,H", help="Part of the frame as image: left,top,width,height, px.")
+        str | None, option("L,T,W,H", "Part of the frame as image: left,top,width,height, px.")
     ] = None,
-    report: Annotated[
-        Path | None, Option(metavar="DIR", help="Folder for a report on quality and next steps.")
-    ] = None,
+    report: Annotated[Path | None, option("DIR", "Folder for a report on quality and next steps.")] = None,
     compare: Annotated[
         bool, Option("--compare", help="Also try every color model on these presses, for the report's table.")
     ] = False,
@@ -142,17 +138,15 @@ def _show(calibration: gelform.Calibration, shown: ShownOption) -> None:
 
 def starter(
     *,
-    sensor: Annotated[
-        str, Argument(metavar="SENSOR", help=f"Make of the sensor: {listed(options.STARTERS)}.")
-    ],
+    sensor: Annotated[str, argument("SENSOR", f"Make of the sensor: {listed(options.STARTERS)}.")],
     background: Annotated[
-        Path, Option(metavar="IMG|DIR", help="The unit's gel at rest: an image, or a folder of several.")
+        Path, option("IMG|DIR", "The unit's gel at rest: an image, or a folder of several.")
     ],
     output: options.NewCalibration,
     bgr: options.Bgr = False,
     mm_per_px: options.MmPerPx = None,
-    serial: Annotated[str | None, Option(metavar="TEXT", help="Serial number of the unit.")] = None,
-    gel: Annotated[str | None, Option(metavar="TEXT", help="Name of its gel.")] = None,
+    serial: Annotated[str | None, option("TEXT", "Serial number of the unit.")] = None,
+    gel: Annotated[str | None, option("TEXT", "Name of its gel.")] = None,
     overwrite: options.Overwrite = False,
     shown: ShownOption,
 ) -> None:
@@ -184,22 +178,14 @@ def starter(
 
 def scale(
     *,
-    place: Annotated[
-        Path, Argument(metavar="PLACE", help="Press folder, its sensor.toml, or an imported calibration.")
-    ],
+    place: Annotated[Path, argument("PLACE", "Press folder, its sensor.toml, or an imported calibration.")],
     points: Annotated[
         list[str] | None,
-        Option(
-            metavar="X1,Y1,X2,Y2,MM",
-            help="Two marked points of the image, px, and their distance; may be repeated.",
-        ),
+        option("X1,Y1,X2,Y2,MM", "Two marked points of the image, px, and their distance; may be repeated."),
     ] = None,
     stage: Annotated[
         list[str] | None,
-        Option(
-            metavar="A,B,MM",
-            help="Two images of one object, and the stage's step between them; may be repeated.",
-        ),
+        option("A,B,MM", "Two images of one object, and the stage's step between them; may be repeated."),
     ] = None,
     sensor: options.Sensor = None,
     background: options.Background = None,
@@ -255,7 +241,7 @@ def lens(
     images: Annotated[
         list[Path], Option("--image", metavar="IMG", help="Whole frame with the grid; may be repeated.")
     ],
-    grid: Annotated[str, Option(metavar="CxR", help="Inner corners of the grid, such as 9x6; or its dots.")],
+    grid: Annotated[str, option("CxR", "Inner corners of the grid, such as 9x6; or its dots.")],
     pitch_mm: Annotated[float, number("Pitch of the grid, mm.")],
     dots: Annotated[bool, Option("--dots", help="The grid has dots, not a checkerboard.")] = False,
     shown: ShownOption,
@@ -292,8 +278,7 @@ def crosstalk(
     *,
     place: Place,
     led_frames: Annotated[
-        tuple[Path, Path, Path],
-        Argument(metavar="R G B", help="Gel at rest under the red, green, blue LEDs alone."),
+        tuple[Path, Path, Path], argument("R G B", "Gel at rest under the red, green, blue LEDs alone.")
     ],
     bgr: options.Bgr = False,
     shown: ShownOption,

@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer import Argument, BadParameter, Option
+from typer import BadParameter, Option
 
 import gelform
 from gelform import DataError
 from gelform.cli.console import ShownOption, print_json, printable
 from gelform.cli.files import check_output
-from gelform.cli.options import NewCalibration, Overwrite
+from gelform.cli.options import NewCalibration, Overwrite, argument
 
 SUMMARY = "List, add, remove and export calibrations by serial."
 COLUMNS = {
@@ -32,9 +32,7 @@ COLUMNS = {
     "off_contact_um": "off contact (um)",
 }
 
-Which = Annotated[
-    str, Argument(metavar="WHICH", help="Serial, file name, or first characters of the digest.")
-]
+Which = Annotated[str, argument("WHICH", "Serial, file name, or first characters of the digest.")]
 Gel = Annotated[str | None, Option("--gel", metavar="GEL", help="Only calibrations of this gel.")]
 
 
@@ -89,7 +87,7 @@ def list_(
 
 def add(
     *,
-    files: Annotated[list[Path], Argument(metavar="CAL.npz...", help="Files of calibrations.")],
+    files: Annotated[list[Path], argument("CAL.npz...", "Files of calibrations.")],
     serial: Annotated[str | None, Option(help="Serial number of the camera, if the file lacks it.")] = None,
     gel: Annotated[
         str | None, Option("--gel", metavar="GEL", help="Name of the gel, if the file lacks it.")

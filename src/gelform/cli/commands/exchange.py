@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, BadParameter, Option
+from typer import BadParameter, Option
 
 import gelform
 from gelform import DataError, result
 from gelform.cli import options
 from gelform.cli.console import ShownOption, mistakes_in, say
 from gelform.cli.files import check_output
-from gelform.cli.options import listed, one_of
+from gelform.cli.options import argument, listed, one_of, option
 from gelform.sensors.profiles import check_gel_width
 
 RENDERERS = ("taxim", "isaaclab")  # as in exporters.taxim, which the help does not import
@@ -21,7 +21,7 @@ FILES = ("ply", "stl", "tiff", "png", "x3p")
 
 def import_(
     *,
-    file: Annotated[Path, Argument(metavar="FILE", help="The package's calibration file.")],
+    file: Annotated[Path, argument("FILE", "The package's calibration file.")],
     package: Annotated[
         str, Option("--from", metavar="PACKAGE", help=f"The package: {listed(options.PACKAGES)}.")
     ],
@@ -30,9 +30,7 @@ def import_(
     mm_per_px: options.MmPerPx = None,
     position: Annotated[
         str | None,
-        Option(
-            metavar="zeros|true", help="For gsrobotics: zeros, as in its own program, or the true positions."
-        ),
+        option("zeros|true", "For gsrobotics: zeros, as in its own program, or the true positions."),
     ] = None,
     flip_depth: Annotated[
         bool, Option("--flip-depth", help="For lut: reverse depth that falls where pressed.")
@@ -41,7 +39,7 @@ def import_(
         tuple[float, float] | None,
         Option("--range", metavar="LOW HIGH", help="For lut: differences that the table spans, gray levels."),
     ] = None,
-    name: Annotated[str | None, Option(metavar="NAME", help="Name of the sensor.")] = None,
+    name: Annotated[str | None, option("NAME", "Name of the sensor.")] = None,
     overwrite: options.Overwrite = False,
     shown: ShownOption,
 ) -> None:
@@ -103,7 +101,7 @@ def import_(
 
 def export(
     *,
-    source: Annotated[Path, Argument(metavar="CAL.npz|RESULT.npz", help="A calibration or a result.")],
+    source: Annotated[Path, argument("CAL.npz|RESULT.npz", "A calibration or a result.")],
     to: Annotated[
         str, Option("--to", help="taxim, isaaclab (a calibration); ply, stl, tiff, png, x3p (a result).")
     ],

@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from typer import Argument, Option
+from typer import Option
 
 import gelform
 from gelform import CalibrationError
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from gelform.calibration.loads import LoadedPresses
 
 SUMMARY = "Calibrate force in newtons, and measure its errors."
-Loads = Annotated[Path, Argument(metavar="LOADS", help="Folder of images with loads.csv.")]
+Loads = Annotated[Path, options.argument("LOADS", "Folder of images with loads.csv.")]
 UNITS = {"normal": "N", "shear": "N", "torsion": "N mm"}
 SHARES = {  # parts of 1, shown as %
     "median": "median error (%)",

@@ -13,12 +13,12 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Annotated, Any
 
-from typer import Argument, BadParameter, Option
+from typer import BadParameter, Option
 
 import gelform
 from gelform import DataError, GelformError, result
 from gelform.cli.console import in_options, print_json, show
-from gelform.cli.options import Json
+from gelform.cli.options import Json, argument
 
 
 def system_facts() -> dict[str, Any]:
@@ -132,7 +132,7 @@ ROUGHNESS = (
 def info(
     *,
     path: Annotated[
-        Path | None, Argument(metavar="FILE|FOLDER", help="Calibration, result, image, video, press folder.")
+        Path | None, argument("FILE|FOLDER", "Calibration, result, image, video, press folder.")
     ] = None,
     system: Annotated[
         bool, Option("--system", help="Describe this machine instead, for a bug report.")

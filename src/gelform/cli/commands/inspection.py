@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from typer import Argument, BadParameter
+from typer import BadParameter
 
 import gelform
 from gelform import DataError
@@ -38,7 +38,7 @@ COMPARED = {  # {u}: the unit of depth
 
 def evaluate(
     *,
-    presses: Annotated[Path, Argument(metavar="PRESSES", help="Folder of ball presses.")],
+    presses: Annotated[Path, options.argument("PRESSES", "Folder of ball presses.")],
     calibration: options.CalibrationFile,
     given: options.PressOptions,
     shown: ShownOption,

@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer import Argument, BadParameter, Option
+from typer import BadParameter, Option
 
 import gelform
 from gelform.cli import options
 from gelform.cli.console import MISTAKE, ShownOption, check_pictures, figure, one_line, say, status_of
 from gelform.cli.files import Inputs, check_results, make_folder, named, result_paths, save_by_name
-from gelform.cli.options import one_of, usage_errors
+from gelform.cli.options import argument, one_of, option, usage_errors
 from gelform.errors import FrameTally, GelformError, reason
 from gelform.result.maps import KEPT_MAPS
 
@@ -37,9 +37,7 @@ def reconstruct(
     *,
     inputs: Annotated[
         list[Path],
-        Argument(
-            metavar="INPUT...", help="Images, folders, patterns in quotes; or one video, stack or recording."
-        ),
+        argument("INPUT...", "Images, folders, patterns in quotes; or one video, stack or recording."),
     ],
     given: Inputs,
     output: options.ResultFolder,
@@ -224,9 +222,8 @@ class Frames(Inputs):
 
     background: Annotated[
         Path | None,
-        Option(
-            metavar="IMG|DIR|CSV",
-            help="Gel at rest: an image, a folder of several, or a table of sequence,background.",
+        option(
+            "IMG|DIR|CSV", "Gel at rest: an image, a folder of several, or a table of sequence,background."
         ),
     ] = None
     dataset: options.Dataset = ""
@@ -239,9 +236,7 @@ def batch(
     *,
     source: Annotated[
         str,
-        Argument(
-            metavar="INPUT", help="Folder, video, recording, HDF5, Zarr, LeRobot, or a pattern in quotes."
-        ),
+        argument("INPUT", "Folder, video, recording, HDF5, Zarr, LeRobot, or a pattern in quotes."),
     ],
     given: Frames,
     output: options.ResultFolder,
@@ -259,7 +254,7 @@ def batch(
     workers: Annotated[int, Option(min=1, metavar="N", help="Number of processes; for Ray, of CPUs.")] = 1,
     engine: Annotated[str, Option(help="pool (processes on this machine) or ray.")] = "pool",
     address: Annotated[
-        str | None, Option(metavar="ADDRESS", help="Address of a running Ray cluster, such as auto.")
+        str | None, option("ADDRESS", "Address of a running Ray cluster, such as auto.")
     ] = None,
     shard: Annotated[
         Any, Option(metavar="I/N", parser=_shard, help="Do only the I-th of N shares, for a job array.")
@@ -387,7 +382,7 @@ def _report_batch(summary: BatchSummary, output: Path, max_errors: int, quiet: b
 
 def verify(
     *,
-    output: Annotated[Path, Argument(metavar="OUTPUT", help="Folder that gelform batch wrote.")],
+    output: Annotated[Path, argument("OUTPUT", "Folder that gelform batch wrote.")],
     shown: ShownOption,
 ) -> None:
     """Check every output of a batch, and list problems.

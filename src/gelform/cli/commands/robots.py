@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
-from typer import Argument, Option
+from typer import Option
 
 import gelform
 from gelform import robots
 from gelform.cli import options
 from gelform.cli.console import DOUBT, ShownOption, mistakes_in, say, status_of
 from gelform.cli.files import Inputs, check_output, save_by_name
-from gelform.cli.options import usage_errors
+from gelform.cli.options import argument, option, usage_errors
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, USUAL, check_sensor_name, check_topics
 
 PRIOR = "MM,DEG"
@@ -27,9 +27,9 @@ PRIOR = "MM,DEG"
 class Sent:
     """Topics of a source, their prefix, and the duration."""
 
-    topics: Annotated[str, Option(metavar="A,B", help=f"Topics, of {','.join(TOPICS)}.")] = ",".join(USUAL)
+    topics: Annotated[str, option("A,B", f"Topics, of {','.join(TOPICS)}.")] = ",".join(USUAL)
     name: Annotated[
-        str | None, Option(metavar="NAME", help="Prefix of topics and frames; else the calibration's sensor.")
+        str | None, option("NAME", "Prefix of topics and frames; else the calibration's sensor.")
     ] = None
     seconds: options.Seconds = None
     accept_doubtful: options.AcceptDoubtful = False
@@ -56,9 +56,7 @@ class Sent:
 
 def bag(
     *,
-    source: Annotated[
-        str, Argument(metavar="INPUT", help="Recording, video, folder, serial, name, URL, or simulated.")
-    ],
+    source: Annotated[str, argument("INPUT", "Recording, video, folder, serial, name, URL, or simulated.")],
     given: Inputs,
     output: Annotated[Path, options.output("DIR", "A new folder: the bag of ROS 2.")],
     sent: Sent,
@@ -96,10 +94,10 @@ def ros(
     *,
     given: Inputs,
     source: Annotated[
-        str, Argument(metavar="[SOURCE]", help="Serial, name, URL, recording, video, folder, or simulated.")
+        str, argument("[SOURCE]", "Serial, name, URL, recording, video, folder, or simulated.")
     ] = "simulated",
     sent: Sent,
-    router: Annotated[str, Option(metavar="ADDRESS", help="Address of the zenoh router.")] = ROUTER,
+    router: Annotated[str, option("ADDRESS", "Address of the zenoh router.")] = ROUTER,
     domain: Annotated[
         int, Option(envvar="ROS_DOMAIN_ID", min=0, max=MAX_DOMAIN, help="ROS domain of the subscribers.")
     ] = 0,
@@ -129,15 +127,14 @@ def ros(
 
 def track(
     *,
-    source: Annotated[str, Argument(metavar="INPUT", help="Recording, video, folder, serial, name or URL.")],
+    source: Annotated[str, argument("INPUT", "Recording, video, folder, serial, name or URL.")],
     given: Inputs,
     output: Annotated[Path, options.output("CSV", "Table of the poses.")],
     surface: Annotated[
-        Path | None, Option(metavar="FILE", help="A surface of all keyframes: .npz, .ply, .stl, .tiff, .x3p.")
+        Path | None, option("FILE", "A surface of all keyframes: .npz, .ply, .stl, .tiff, .x3p.")
     ] = None,
     prior: Annotated[
-        str | None,
-        Option(metavar=PRIOR, help="Motion between frames: standard deviations in mm and degrees."),
+        str | None, option(PRIOR, "Motion between frames: standard deviations in mm and degrees.")
     ] = None,
     overwrite: options.Overwrite = False,
     shown: ShownOption,

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, BadParameter, Option
+from typer import BadParameter, Option
 
 import gelform
 from gelform import sensors
@@ -17,7 +17,7 @@ from gelform import simulate as simulator
 from gelform.cli import options
 from gelform.cli.console import ShownOption, check_pictures, json_bytes, mistakes_in, say
 from gelform.cli.files import check_output, content_of, write_report
-from gelform.cli.options import LAYOUTS, listed, number, one_of, usage_errors
+from gelform.cli.options import LAYOUTS, argument, listed, number, one_of, option, usage_errors
 from gelform.sensors.profiles import SENSORS
 
 LAYOUT, PRESSES, SEED = "three-edges", 24, 7
@@ -44,16 +44,16 @@ def simulate(
     output: options.NewFolder,
     sensor: Annotated[
         str | None,
-        Option(
-            metavar="NAME|FILE.toml",
-            help=f"{listed((*LAYOUTS, *SENSORS))} ({LAYOUTS[0]} by default); or your own as TOML.",
+        option(
+            "NAME|FILE.toml",
+            f"{listed((*LAYOUTS, *SENSORS))} ({LAYOUTS[0]} by default); or your own as TOML.",
         ),
     ] = None,
     like: Annotated[
-        Path | None, Option(metavar="CAL.npz", help="Imitate this calibrated sensor, or Taxim's tables.")
+        Path | None, option("CAL.npz", "Imitate this calibrated sensor, or Taxim's tables.")
     ] = None,
     background: Annotated[
-        Path | None, Option(metavar="IMG", help="Background image for Taxim's tables. Default: gray.")
+        Path | None, option("IMG", "Background image for Taxim's tables. Default: gray.")
     ] = None,
     mm_per_px: Annotated[
         float | None, number("Width of a background pixel on the gel, mm, for the tables.", options.pitch)
@@ -66,9 +66,7 @@ def simulate(
         6.0,
         9.0,
     ),  # type: ignore[assignment]  # typer makes a list of it
-    height_map: Annotated[
-        Path | None, Option(metavar="FILE.npy", help="Press this height map: heights in mm.")
-    ] = None,
+    height_map: Annotated[Path | None, option("FILE.npy", "Press this height map: heights in mm.")] = None,
     height_map_mm_per_px: Annotated[float | None, number("Sample pitch of the height map, mm.")] = None,
     depth_mm: Annotated[float, number("Depth of the height map, or of the coin of --as, mm.")] = 0.5,
     forms: Annotated[
@@ -168,9 +166,7 @@ def _twin_of(like: Path | None, background: Path | None, mm_per_px: float | None
 
 def design(
     *,
-    sensor: Annotated[
-        str, Argument(metavar="SENSOR.toml", help="A simulated sensor, or the name of a ready-made one.")
-    ],
+    sensor: Annotated[str, argument("SENSOR.toml", "A simulated sensor, or the name of a ready-made one.")],
     output: Annotated[Path | None, options.output("FILE.png", "A picture of the study.")] = None,
     presses: Annotated[int, Option(min=4, help="Number of ball presses that calibrate each design.")] = 14,
     seed: options.Seed = 0,

@@ -16,13 +16,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from typer import Argument, BadParameter, Option
+from typer import BadParameter, Option
 
 import gelform
 from gelform import CalibrationError, DataError, GelformError
 from gelform.cli import options
 from gelform.cli.console import ShownOption, mistakes_in, print_json, say, show
-from gelform.cli.options import number, usage_errors
+from gelform.cli.options import argument, number, option, usage_errors
 from gelform.sensors.profiles import check_gel_width
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ class PressesTaken:
 def record(
     *,
     source: Annotated[
-        str, Argument(metavar="[SOURCE]", help="Serial, name, path, URL or simulated; else the only camera.")
+        str, argument("[SOURCE]", "Serial, name, path, URL or simulated; else the only camera.")
     ] = "",
     output: Annotated[Path, options.output("FILE.mcap|DIR", "A new file; a new folder with --presses.")],
     seconds: options.Seconds = None,
@@ -364,9 +364,9 @@ def _camera_settings(pairs: list[str]) -> dict[str, float | str]:
 def live(
     sources: Annotated[
         list[str] | None,
-        Argument(
-            metavar="[SOURCE]...",
-            help="Serial, name, device, URL, video, folder, or simulated[:SENSOR]. Default: simulated.",
+        argument(
+            "[SOURCE]...",
+            "Serial, name, device, URL, video, folder, or simulated[:SENSOR]. Default: simulated.",
         ),
     ] = None,
     calibration: Annotated[
@@ -376,7 +376,7 @@ def live(
     sensor: options.StarterSensor = None,
     bgr: options.Bgr = False,
     folder: Annotated[
-        Path, Option(metavar="DIR", help="Folder of the offered calibrations and of new recordings.")
+        Path, option("DIR", "Folder of the offered calibrations and of new recordings.")
     ] = Path("."),
     host: Annotated[str, Option(help="Address to listen on; other machines need a token.")] = "127.0.0.1",
     port: Annotated[
@@ -389,7 +389,7 @@ def live(
         float, Option(metavar="HZ", parser=options.positive, help="Frame rate of the simulated sensor.")
     ] = 60.0,
     sink: Annotated[
-        list[str] | None, Option(metavar="NAME", help="Results also in rerun or foxglove; may be repeated.")
+        list[str] | None, option("NAME", "Results also in rerun or foxglove; may be repeated.")
     ] = None,
     browser: Annotated[bool, Option("--open", help="Open the page in the browser.")] = False,
     quiet: options.Quiet = False,
