@@ -159,6 +159,15 @@ def test_room_light_comes_back_on_a_pressed_frame(rest, pressed, room, gain):
     assert seen.is_known  # though a gain and room light are much alike
 
 
+@pytest.mark.parametrize(
+    ("levels", "is_room"),
+    [((10, 4, 2.1), True), ((-2.1, -10, -4), True), ((10, 4, 1.9), False), ((10, 10, -3), False)],
+)
+def test_a_rooms_light_reaches_all_channels_with_one_sign(levels, is_room):
+    values = np.column_stack([np.zeros((3, 3)), levels])
+    assert light._Fit(values, *[None] * 8).has_room is is_room
+
+
 def test_its_deviation_is_that_of_its_errors(sensor, rest):
     """Ten presses in one light: the errors of tilt and room light, in their own standard deviations."""
     tilt, room, errors = np.array([[0.05, 0.02, -0.04], [0.03, -0.05, 0.01]]), np.array([20.0, 15, 10]), []
