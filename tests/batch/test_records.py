@@ -285,6 +285,8 @@ def test_a_sheet_has_gaps_a_color_bar_and_a_scale():
     assert np.abs(bar[-1] - sheet[79, TILE_PX - 1]).max() <= 12
     scale = (sheet[80 + 9, 140:TILE_PX] == 255).all(axis=1)
     assert scale.sum() == 20
+    texts = sheet[:, :100].min(axis=2) > 150  # numbers, name, note; nothing on the depth
+    assert [texts[a:b].any() for a, b in ((0, 80), (84, 96), (96, 112), (112, 126))] == [False] + [True] * 3
     none = shown(contact_sheet([(depth, "a", "b")]))
     assert not (none[80 + 9, 140:TILE_PX] == 255).all(axis=1).any()
 
