@@ -42,8 +42,9 @@ MAX_LINES, MAX_FILES = 650, 15
 TESTED_TOGETHER = {
     "arrays.py": "test_architecture.py",  # mypy tests it
     "cli/commands/calibrations.py": "cli/commands/test_exchange.py",
-    "cli/commands/force.py": "cli/commands/test_geometry.py",
+    "cli/commands/force.py": "cli/commands/test_calibrate.py",
     "robots/lerobot_depth.py": "robots/test_ros_messages.py",
+    "robots/zenoh_node.py": "robots/test_send.py",
     "simulate/presets.py": "simulate/test_press.py",
 }
 PUBLIC = {

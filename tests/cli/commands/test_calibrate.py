@@ -1,6 +1,10 @@
 """gelform calibrate: from a folder to a calibration and a report; every missing file is named.
 
 gelform starter: a calibration of a unit from its background image; gelform info describes it.
+
+gelform scale and gelform lens: their results and refusals.
+
+gelform force calibrate and evaluate: what they write and print, and what they refuse.
 """
 
 import csv
@@ -8,17 +12,22 @@ import json
 import re
 import shutil
 import time
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+import gelform
 from gelform.calibration import report
 from gelform.calibration.presses.folder import read_presses
 from gelform.calibration.starters import load_starter
 from gelform.calibration_file import load_calibration
 from gelform.exchange.plots import save_picture
+from gelform.sensors.files import read_sensor_toml
 from gelform.simulate import LAYOUTS, Ball, Pose, simulate_background, simulate_press, simulate_sequence
 from made.files import video
+from made.images import checkerboard
 
 
 def test_a_calibration_and_its_report_whose_circles_can_be_labels(works, folder, tmp_path):
@@ -161,3 +170,158 @@ def test_the_library_comes_before_the_starter(works, unit, tmp_path):
     (tmp_path / "sensor.toml").write_text(f'name = "{SIMULATED}"\nmm_per_px = 0.0634\nserial = "S9"\n')
     given = ("reconstruct", tmp_path / "frame.png", "--sensor", *how, "-o", tmp_path / "out")
     assert "gel mine" in works(*given)[1]
+
+
+@pytest.fixture(scope="module")
+def images(small, tmp_path_factory):
+    """A ball, pressed into the sensor behind the press folder at two places 3.9 mm apart."""
+    folder = tmp_path_factory.mktemp("measured")
+    rng = np.random.default_rng(4)
+    for name, center in (("left", (-2.0, -0.5)), ("right", (1.6, 1.0))):
+        press = simulate_press(small, Ball(3.0), depth_mm=0.4, center_mm=center, rng=rng, oversample=1)
+        save_picture(folder / f"{name}.png", press.image)
+    return folder
+
+
+@pytest.mark.slow
+def test_a_measured_scale_reaches_the_calibration(run, run_json, folder, images, small, tmp_path):
+    pressed = f"{images / 'left.png'},{images / 'right.png'},3.9"
+    far = 17 / small.mm_per_px
+    given = ("--stage", pressed, "--points", f"0,0,{far},0,17")
+    said = run_json("scale", folder, *given)
+    assert said["file"] == str(folder / "sensor.toml")
+    assert said["mm_per_px"] == pytest.approx(small.mm_per_px, rel=0.015)
+    assert abs(said["mm_per_px"] - small.mm_per_px) < 3 * said["mm_per_px_sigma"]
+    settings = read_sensor_toml(folder / "sensor.toml")
+    assert settings.mm_per_px == pytest.approx(said["mm_per_px"])
+    assert settings.mm_per_px_sigma == pytest.approx(said["mm_per_px_sigma"])
+    assert run("calibrate", folder, "-o", tmp_path / "cal.npz", "--model", "polynomial")[0] == 0
+    calibration = load_calibration(tmp_path / "cal.npz")
+    assert calibration.mm_per_px == pytest.approx(said["mm_per_px"])
+    assert "two points" in calibration.settings["scale_source"]
+    assert "a stage step of 3.9 mm" in calibration.settings["scale_source"]
+
+
+def test_marked_points_are_averaged_or_compared(works, fails, folder):
+    assert "0.12 +- " in works("scale", folder, "--points", "20,10,100,70,12")[1]
+    assert read_sensor_toml(folder / "sensor.toml").mm_per_px == pytest.approx(0.12)
+    err = works("scale", folder, "--points", "20,10,100,10,9.6", "--points", "20,10,20,90,9.7")[1]
+    assert read_sensor_toml(folder / "sensor.toml").mm_per_px == pytest.approx(0.1206, abs=1e-4)
+    assert err.count("two points") == 2
+    block = ("--points", "20,10,101.9,10,7", "--points", "20,10,20,64,5")
+    assert "pixels are not square: mm_per_px = [0.08547, 0.092593]" in fails("scale", folder, *block)
+
+
+def test_a_scale_that_no_gel_has_is_not_written(works, fails, folder, imported):
+    """Ten times too small: 160 px would be 2 mm."""
+    for place, file in ((folder, folder / "sensor.toml"), (imported, imported)):
+        before = file.read_bytes()
+        named = fails("scale", place, "--points", "20,10,100,70,1.25")
+        assert "between 3 and 150 mm wide, got 160 px of 0.0125 mm: 2 mm" in named
+        assert file.read_bytes() == before
+        err = works("scale", place, "--points", "20,10,100,70,2.5")[1]
+        assert "this one would be 160 px of 0.025 mm: 4 mm" in err
+
+
+def test_a_grid_tells_lens_and_scale(run_json, folder, tmp_path):
+    checkerboard(tmp_path / "grid.png", (120, 160), 12)
+    said = run_json("lens", folder, "--image", tmp_path / "grid.png", "--grid", "8x6", "--pitch-mm", "1.2")
+    assert said["mm_per_px"] == pytest.approx(0.1, rel=0.005)
+    settings = read_sensor_toml(folder / "sensor.toml")
+    assert settings.mm_per_px == pytest.approx(said["mm_per_px"])
+    assert settings.view.lens is not None
+    assert settings.view.frame_shape == (120, 160)
+
+
+@pytest.mark.slow
+def test_crosstalk_reaches_the_calibration(run, run_json, folder, leds, tmp_path):
+    said = run_json("crosstalk", folder, *leds)
+    assert said["matrix"][1][0] > 0.05
+    turned = [tmp_path / led.name for led in leds]
+    for led, path in zip(leds, turned):
+        save_picture(path, cv2.imread(str(led)))
+    assert run_json("crosstalk", folder, *turned, "--bgr")["matrix"] == said["matrix"]
+    made = run_json("calibrate", folder, "-o", tmp_path / "cal.npz", "--model", "polynomial")
+    calibration = load_calibration(tmp_path / "cal.npz")
+    np.testing.assert_allclose(calibration.change.crosstalk, said["matrix"], atol=1e-6)
+    assert any("gelform removes" in note for note in made["notes"])
+
+
+K = 0.05  # N per mm^3
+
+
+@pytest.fixture(scope="module")
+def loads(small, calibration_file, tmp_path_factory):
+    """Two balls with four loads each, K times the volume that the calibration reads."""
+    folder, rng = tmp_path_factory.mktemp("loads"), np.random.default_rng(9)
+    reconstruct, lines = gelform.Reconstructor(gelform.load_calibration(calibration_file)), []
+    for radius in (2.5, 4.0):
+        for depth in (0.15, 0.25, 0.35, 0.5):
+            at = {"depth_mm": depth, "center_mm": (0.4, -0.3)}
+            image = simulate_press(small, Ball(radius), **at, rng=rng, oversample=1).image
+            save_picture(folder / f"{radius}-{depth}.png", image)
+            volume_mm3 = gelform.touch_from_result(reconstruct(image)).volume_mm3
+            lines.append(f"{radius}-{depth}.png,ball {radius},{K * volume_mm3}")
+    (folder / "loads.csv").write_text("\n".join(["image,object,force_n", *lines, ""]))
+    return folder
+
+
+def test_loads_are_added_to_the_calibration_and_measured(
+    run, works, run_json, fails, loads, calibration_file, tmp_path
+):
+    own = Path(shutil.copy(calibration_file, tmp_path / "cal.npz"))
+    before = own.read_bytes()
+    assert "is already there" in fails("force", "calibrate", loads, "-c", own)
+    assert own.read_bytes() == before
+    said = run_json("force", "calibrate", loads, "-c", own, "--overwrite")
+    assert said["normal"]["weights"] == [[pytest.approx(K)]]
+    assert said["unit"] == "N"
+    assert gelform.load_calibration(own).force.normal.loads == said["normal"]["loads"]
+    errors = run_json("force", "evaluate", loads, "-c", own)
+    assert re.search(r"^force +\d loads up to", run("info", own)[1], re.M)
+    assert errors["normal"][-1]["mae"] < 0.01 < errors["normal"][-1]["constant"]["mae"]
+    out, err = works("force", "evaluate", loads, "-c", own)
+    assert "constant's (N)" in " ".join(out.split())
+    assert out.count("(%)") == 5
+    whole = next(line.split() for line in out.splitlines() if line.split()[:1] == ["all"])
+    assert float(whole[2]) == 100 * errors["normal"][-1]["refused"]
+    assert float(whole[-1]) == 100 * errors["normal"][-1]["within_2"]
+    assert re.search(r"Errors of the normal force are [\d.e-]+ times the stated sigma\.", err)
+    assert "Calibrate again" not in err
+    err = works("force", "calibrate", loads, "-c", own, "-o", tmp_path / "other.npz")[1]
+    assert f"normal: {said['normal']['loads']} loads" in err
+    assert (tmp_path / "other.npz").is_file()
+
+
+def test_what_is_refused_leaves_the_calibration(fails, loads, calibration_file, tmp_path):
+    before = calibration_file.read_bytes()
+    assert "gelform force calibrate" in fails("force", "evaluate", loads, "-c", calibration_file)
+    light = shutil.copytree(loads, tmp_path / "grams")
+    head, *rows = (line.split(",") for line in (loads / "loads.csv").read_text().splitlines())
+    grams = [f"{image},{name},{float(force) * 1000 / 9.80665}" for image, name, force in rows]
+    (light / "loads.csv").write_text("\n".join([",".join(head), *grams, ""]))
+    assert "grams" in fails("force", "calibrate", light, "-c", calibration_file, "--overwrite")
+    assert calibration_file.read_bytes() == before
+
+
+def test_the_lag_is_stored_and_its_range_s_end_is_a_warning(
+    works, run_json, loads, calibration_file, tmp_path
+):
+    """Loads that come four frames too early, which is beyond the range; evaluate takes the stored lag as it is."""
+    rows = [line.split(",") for line in (loads / "loads.csv").read_text().splitlines()[1:]]
+    names, force = [row[0] for row in rows], [float(row[2]) for row in rows]
+    order = sorted(range(len(rows)), key=lambda k: force[k])
+    ramp = [*order, *order[::-1]]
+    film = shutil.copytree(loads, tmp_path / "film")
+    lines = ["image,object,grasp,frame,force_n"]
+    for frame, k in enumerate(ramp):
+        early = force[ramp[min(frame + 4, len(ramp) - 1)]]
+        lines.append(f"{names[k]},ball,0,{frame},{early}")
+    (film / "loads.csv").write_text("\n".join([*lines, ""]))
+    own = tmp_path / "cal.npz"
+    err = works("force", "calibrate", film, "-c", calibration_file, "-o", own)[1]
+    assert "a lag of -3 frames is at the end of the range" in err
+    assert gelform.load_calibration(own).force.lag_frames == -3
+    still = [f"{names[k]},ball,0,{frame},{force[k]}" for frame, k in enumerate(ramp)]
+    (film / "loads.csv").write_text("\n".join([lines[0], *still, ""]))
+    assert run_json("force", "evaluate", film, "-c", own)["lag_frames"] == -3
