@@ -11,6 +11,7 @@ from gelform.batch import BatchSettings, FilmRef
 from gelform.batch.inputs import Part
 from gelform.batch.outputs.files import PartTarget
 from gelform.batch.outputs.writers import WRITERS
+from made import files
 from made.files import EPISODES, video, write_lerobot_set
 from made.small_gel import MM_PER_PX, SHAPE, Touch, calibration, image_of, save
 
@@ -58,13 +59,7 @@ def film(tmp_path, images):
 
 @pytest.fixture
 def visible():
-    """Every file of an output that is no leftover, with its bytes."""
-
-    def files(folder):
-        paths = (path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
-        return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
-
-    return files
+    return files.visible
 
 
 @pytest.fixture

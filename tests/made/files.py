@@ -52,6 +52,12 @@ def write_lerobot_set(root: Path, frames: list[np.ndarray]) -> None:
         as_parquet(root / f"data/chunk-000/file-{file:03d}.parquet", cells, row_group_size=2)
 
 
+def visible(folder):
+    """Every file of an output that is no leftover, with its bytes."""
+    paths = (path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+
 def video(path, images, codec="FFV1", rate_hz=25.0):
     """The path, after the images (RGB) were written to a video there; FFV1 is without loss."""
     height, width = images[0].shape[:2]
