@@ -236,10 +236,10 @@ def test_a_whole_output_and_a_part_that_is_not_done(output):
     assert "1 of 3 parts are not done" in verify_output(output)[2][0].what
 
 
-MARK_ENGINES = pytest.mark.skipif(os.name != "posix", reason="kills a process")
+ON_POSIX = pytest.mark.skipif(os.name != "posix", reason="kills a process")
 
 
-@MARK_ENGINES
+@ON_POSIX
 @pytest.mark.slow
 def test_two_processes_and_one_of_them_killed(tree, cal, tmp_path, visible):
     parts = plan_of(listing_of(tree), 1)
@@ -259,7 +259,6 @@ def test_two_processes_and_one_of_them_killed(tree, cal, tmp_path, visible):
     assert {name: one[name] for name in two} == two
 
 
-@MARK_ENGINES
 def test_refused(tree, cal, tmp_path, monkeypatch):
     for wrong, said in (
         ({"name": "dask"}, "Expected an engine among pool, ray, got 'dask'"),
@@ -284,7 +283,6 @@ def ray():
     ray.shutdown()
 
 
-@MARK_ENGINES
 @pytest.mark.slow
 def test_the_same_bytes_as_without(ray, broken_tree, cal, tmp_path, visible):
     here = run_batch(broken_tree, cal, tmp_path / "a", PARTS, table="csv")
@@ -293,7 +291,7 @@ def test_the_same_bytes_as_without(ray, broken_tree, cal, tmp_path, visible):
     assert visible(tmp_path / "a") == visible(tmp_path / "b")
 
 
-@MARK_ENGINES
+@ON_POSIX
 @pytest.mark.slow
 def test_a_worker_that_is_killed_is_done_again(ray, tree, cal, tmp_path, visible):
     @ray.remote
@@ -316,7 +314,6 @@ def test_a_worker_that_is_killed_is_done_again(ray, tree, cal, tmp_path, visible
     assert visible(tmp_path / "a") == visible(tmp_path / "b")
 
 
-@MARK_ENGINES
 @pytest.mark.slow
 def test_an_output_that_cannot_be_written_is_our_error(ray, tree, cal, tmp_path):
     (tmp_path / "out/frames/frame1.npz").mkdir(parents=True)

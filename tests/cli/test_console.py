@@ -161,7 +161,7 @@ def test_progress_on_a_screen(monkeypatch):
     assert "1/2" in screen.getvalue()
 
 
-MARK_PROCESS = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals and streams")
+ON_POSIX = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals and streams")
 
 BUGS = [ValueError("NaN"), TypeError("no"), IndexError("out"), ZeroDivisionError(), RecursionError("deep")]
 
@@ -181,7 +181,7 @@ def broken(monkeypatch, tmp_path):
     return breaks
 
 
-@MARK_PROCESS
+@ON_POSIX
 def test_a_bug_says_that_it_is_one(broken, run):
     for problem in BUGS:
         code, out, err = run("info", broken(problem))
@@ -192,7 +192,6 @@ def test_a_bug_says_that_it_is_one(broken, run):
         assert err.count("\n") == 1
 
 
-@MARK_PROCESS
 def test_a_mistake_and_an_interrupt_are_one_line(broken, run):
     no_memory = "gelform: error: not enough memory for this. Use smaller images, or fewer at a time.\n"
     parameters = "Give mm_per_px= (--mm-per-px), or allow it: overwrite=True (--overwrite)."
@@ -207,7 +206,7 @@ def test_a_mistake_and_an_interrupt_are_one_line(broken, run):
     assert run("info", broken(KeyboardInterrupt())) == (130, "", "gelform: interrupted.\n")
 
 
-@MARK_PROCESS
+@ON_POSIX
 def test_a_name_that_no_file_can_have_is_a_mistake_in_every_command(fails, tmp_path):
     long, there = "a" * 5000, ("-c", tmp_path / "cal.npz")
     for command in (
@@ -219,7 +218,6 @@ def test_a_name_that_no_file_can_have_is_a_mistake_in_every_command(fails, tmp_p
         fails(*command)
 
 
-@MARK_PROCESS
 def test_the_traceback_comes_when_it_is_asked_for(broken, run, monkeypatch):
     path = broken(IndexError("out"))
     assert "Traceback" not in run("info", path)[2]
@@ -231,7 +229,6 @@ def test_the_traceback_comes_when_it_is_asked_for(broken, run, monkeypatch):
         monkeypatch.setenv("GELFORM_DEBUG", "1")
 
 
-@MARK_PROCESS
 def test_only_what_was_given_is_turned_round():
     with pytest.raises(DataError, match=r"a\.png: too small") as raised, mistakes_in("a.png"):
         raise ValueError("too small")
@@ -247,7 +244,7 @@ def shell(command, **how):
     return subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=240, **how)
 
 
-@MARK_PROCESS
+@ON_POSIX
 @pytest.mark.slow
 def test_closed_streams_are_no_traceback(calibration_file, tmp_path):
     given = (f"{calibration_file} 2>&-", f"{calibration_file} >&-", f"{tmp_path}/nothing <&- >&- 2>&-")
@@ -257,7 +254,7 @@ def test_closed_streams_are_no_traceback(calibration_file, tmp_path):
         assert "Traceback" not in ran.stderr
 
 
-@MARK_PROCESS
+@ON_POSIX
 @pytest.mark.slow
 def test_a_reader_that_stops_is_no_traceback(press_folder):
     """Standard error belongs to the command alone: the shell's own would hide what Python says as it exits."""
@@ -266,7 +263,6 @@ def test_a_reader_that_stops_is_no_traceback(press_folder):
         assert ran.stderr == "", command
 
 
-@MARK_PROCESS
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
 def test_a_full_disk_behind_the_output_is_said():
     ran = shell(f"{GELFORM} --version > /dev/full")
@@ -275,7 +271,7 @@ def test_a_full_disk_behind_the_output_is_said():
     assert "Traceback" not in ran.stderr
 
 
-@MARK_PROCESS
+@ON_POSIX
 @pytest.mark.slow
 def test_streams_that_know_ascii_alone(press_folder, calibration_file, tmp_path):
     image = tmp_path / "Prüfling µ.png"
@@ -290,7 +286,7 @@ def test_streams_that_know_ascii_alone(press_folder, calibration_file, tmp_path)
     assert json.loads(again.stdout)["results"][0]["image"] == str(image)
 
 
-@MARK_PROCESS
+@ON_POSIX
 def test_a_pipe_is_no_file(tmp_path, fails, calibration_file):
     pipe, to = tmp_path / "pipe.png", ("-o", tmp_path / "o")
     os.mkfifo(pipe)
@@ -299,7 +295,7 @@ def test_a_pipe_is_no_file(tmp_path, fails, calibration_file):
     assert "No file" in fails("reconstruct", tmp_path / "x.png", "-c", pipe, *to)
 
 
-@MARK_PROCESS
+@ON_POSIX
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "workers"), [(signal.SIGINT, 1), (signal.SIGINT, 2), (signal.SIGTERM, 2), (signal.SIGHUP, 2)]
@@ -318,7 +314,6 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(kind, workers, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@MARK_PROCESS
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no terminals here")
 def test_a_terminal_that_closes_ends_a_recording_with_its_index(tmp_path):
@@ -347,7 +342,6 @@ def test_a_terminal_that_closes_ends_a_recording_with_its_index(tmp_path):
     assert end_missing(path) == ""
 
 
-@MARK_PROCESS
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no SIGHUP here")
 def test_nohup_stays_so_and_handlers_come_back():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -362,7 +356,6 @@ def test_nohup_stays_so_and_handlers_come_back():
         signal.signal(signal.SIGHUP, before)
 
 
-@MARK_PROCESS
 def test_the_second_writer_of_one_file_is_refused(tmp_path, fails, press_folder):
     with only_writer(tmp_path / "cal.npz"):
         assert "Another gelform is making" in fails("calibrate", press_folder, "-o", tmp_path / "cal.npz")
