@@ -1,10 +1,15 @@
 """Sending a stream: stamps, counts and ends; an independent reader decodes every value of a bag.
 
 Keys and tokens equal rmw_zenoh's; a node, a router and a subscriber talk over zenoh's own sockets.
+
+A bag is complete or absent: interrupted, failing, killed, on a full disk.
 """
 
 import queue
+import signal
 import struct
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -14,15 +19,16 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform import Frame, GelformError, Reconstruction
+from gelform import Frame, GelformError, Reconstruction, open_source
 from gelform.errors import CalibrationError, DataError, Finding
 from gelform.exchange.exporters.surface import points_from_result
-from gelform.robots.send import publish, save_bag, send_results
+from gelform.robots.send import BagFile, publish, save_bag, send_results
 from gelform.robots.zenoh_node import Node, ZenohNode, attachment, dds_type, gid_from_token
 from gelform.sensors.mcap import typestore
 from made.small_gel import save
 from made.sources import ImageSource
 
+Reader = pytest.importorskip("rosbags.rosbag2", reason="the extra ros is not installed").Reader
 START_NS, RATE_HZ, FRAMES = 1_700_000_000_123_456_789, 50, 4
 
 
@@ -202,9 +208,9 @@ def listener(router):
     session.close()
 
 
-def result_of(depth_mm):
-    maps, yes = np.full(SHAPE, depth_mm, np.float32), np.ones(SHAPE, bool)
-    return Reconstruction(maps, None, np.zeros((*SHAPE, 2), np.float32), None, maps, yes, yes, 0.1)
+def result_of(depth_mm, shape=SHAPE):
+    maps, yes = np.full(shape, depth_mm, np.float32), np.ones(shape, bool)
+    return Reconstruction(maps, None, np.zeros((*shape, 2), np.float32), None, maps, yes, yes, 0.1)
 
 
 def published(node, count):
@@ -293,3 +299,95 @@ def test_what_cannot_be_is_said(router):
     ):
         with pytest.raises(error, match=said):
             ZenohNode(name, router=at, domain=domain)
+
+
+FULL = result_of(1.0, (60, 80))
+
+
+def frame_of(index):
+    return Frame(np.full((60, 80, 3), index, np.uint8), index / 10, START_NS + index * 10**8, index)
+
+
+def write(bag, count):
+    for index in range(count):
+        bag.write(frame_of(index), FULL, START_NS + index * 10**8)
+
+
+def test_it_has_its_name_only_when_it_is_whole(tmp_path):
+    with BagFile(tmp_path / "bag", "left") as bag:
+        write(bag, 2)
+        assert not (tmp_path / "bag").exists()
+    assert {path.name for path in tmp_path.rglob("*")} == {"bag", "bag.mcap", "metadata.yaml"}
+    with pytest.raises(DataError, match="is there already"):
+        BagFile(tmp_path / "bag", "left")
+
+
+def test_rosbags_reads_metadata_counts_and_qos(tmp_path):
+    with BagFile(tmp_path / "bag", "left") as bag:
+        write(bag, 12)
+    with Reader(tmp_path / "bag") as reader:
+        counts = {one.topic: one.msgcount for one in reader.connections}
+        assert counts.pop("/diagnostics") == 2
+        assert counts.pop("/left/wrench") == 0  # no known loads
+        assert counts == {f"/left/{name}": 12 for name in ("image_raw", "indentation", "points")}
+        for one in reader.connections:
+            (qos,) = one.ext.offered_qos_profiles
+            assert (qos.reliability.name, qos.durability.name, qos.depth) == ("RELIABLE", "VOLATILE", 10)
+        assert reader.duration == 11 * 10**8 + 1  # rosbags counts the last nanosecond in
+
+
+def test_diagnostics_come_once_a_second_and_at_each_change(tmp_path):
+    torn = replace(FULL, health=(Finding("torn", "Torn.", 0.5),))
+    with BagFile(tmp_path / "bag", "left", topics=("image", "diagnostics")) as bag:
+        write(bag, 25)
+        for index in (25, 26):
+            bag.write(frame_of(index), torn, START_NS + index * 10**8)
+    with Reader(tmp_path / "bag") as reader:
+        taken = [(t - START_NS) // 10**8 for one, t, _ in reader.messages() if one.topic == "/diagnostics"]
+    assert taken == [0, 10, 20, 25]
+
+
+def test_ctrl_c_keeps_what_was_written_and_an_error_nothing(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        _write_and_raise(tmp_path / "kept", KeyboardInterrupt)
+    pytest.importorskip("mcap", reason="the extra mcap is not installed")
+    assert len(list(open_source(tmp_path / "kept"))) == 3
+    with pytest.raises(RuntimeError):
+        _write_and_raise(tmp_path / "lost", RuntimeError)
+    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
+
+
+def _write_and_raise(path, problem):
+    with BagFile(path, "left") as bag:
+        write(bag, 3)
+        raise problem
+
+
+PROGRAM = f"""
+import os, resource, signal, sys
+sys.path[:0] = {[__file__.rsplit("/", 2)[0], __file__.rsplit("/", 1)[0]]!r}
+from test_send import BagFile, write
+with BagFile(sys.argv[1], "left") as bag:
+    if sys.argv[2] == "full":
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2 * 2**20, 2 * 2**20))
+        write(bag, 60)
+    write(bag, 30)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="signals and limits of POSIX")
+@pytest.mark.parametrize("fault", ["killed", "full"])
+def test_a_process_that_dies_leaves_no_bag_under_its_name(tmp_path, fault):
+    command = [sys.executable, "-c", PROGRAM, str(tmp_path / "bag"), fault]
+    run = subprocess.run(command, capture_output=True, text=True)
+    left = [path.name for path in tmp_path.iterdir()]
+    if fault == "killed":
+        assert run.returncode == -signal.SIGKILL, run.stderr
+        assert left == [f".bag.partial-{left[0].split('-')[1]}"]
+    else:
+        assert "DataError: Cannot write" in run.stderr, run.stderr
+        assert "File too large. Nothing of it was kept." in run.stderr
+        assert left == []
