@@ -92,7 +92,6 @@ def take_starter(hub: Hub, station: Station, sensor: str) -> None:
         hub.calibrations.put(listed, calibration)
         if len(frames) == 1:
             hub.notice(_taken_from(1))
-    hub.changed()
 
 
 def _frames_at_rest(station: Station) -> list[Shown]:
@@ -144,26 +143,22 @@ def use_calibration(hub: Hub, station: Station, name: str) -> None:
         # A calibration that does not fit is refused here, before its use.
         setup.memory.reconstructed(station.newest.frame, alone=True)
     station.setup = setup
-    hub.changed()
 
 
 def use_solver(hub: Hub, station: Station, name: str) -> None:
     """Integrate with another solver."""
     station.setup = replace(station.setup, solver=checked_solver(name))
-    hub.changed()
 
 
 def follow_motion(hub: Hub, station: Station, on: bool) -> None:
     """Follow the touching object from now on, or no more."""
     station.moved = MovedSince() if on else None
     station.show_again()
-    hub.changed()
 
 
 def pause(hub: Hub, station: Station, paused: bool) -> None:
     """Hold the picture, or continue."""
     station.pause(paused)
-    hub.changed()
 
 
 def set_camera(hub: Hub, station: Station, name: str, value: float) -> None:
@@ -223,7 +218,6 @@ def record(hub: Hub, station: Station, on: bool, page: str = "") -> None:
     elif not on and running is not None:
         running.close()
         hub.recorded(station, running)
-    hub.changed()
 
 
 def snapshot(hub: Hub, station: Station) -> dict[str, Any]:
@@ -247,7 +241,6 @@ def open_recording(hub: Hub, station: Station, name: str) -> None:
     else:
         hub.end_guide(station)
         station.show_first()
-    hub.changed()
 
 
 def attached_setup(hub: Hub, setup: Setup, path: Path) -> Setup:
@@ -261,12 +254,7 @@ def attached_setup(hub: Hub, setup: Setup, path: Path) -> Setup:
 
 def on_player(tell: Callable[..., None]) -> Callable[..., None]:
     """The action that tells the player of a station's recording what a button says."""
-
-    def act(hub: Hub, station: Station, **said: Any) -> None:
-        tell(_player(station), *said.values())
-        hub.changed()
-
-    return act
+    return lambda hub, station, **said: tell(_player(station), *said.values())
 
 
 def share(hub: Hub, station: Station) -> None:
@@ -319,7 +307,6 @@ def guide_start(hub: Hub, station: Station, ball_diameter_mm: float, profile: st
         station.player.loop(False)
         station.player.seek(0)
         station.player.play()
-    hub.changed()
 
 
 def guide_click(hub: Hub, station: Station, x_px: float, y_px: float) -> None:

@@ -114,7 +114,7 @@ def _no_constant(name: str) -> None:
 
 
 def done(hub: Hub, content: dict[str, Any]) -> dict[str, Any] | None:
-    """Do the action of a message; return its answer, if there is one.
+    """Do the action of a message, and announce that; return its answer, if there is one.
 
     MessageError: the command is unknown, or fields are missing, unknown or of the wrong type. GelformError: the action
     failed, or another one of the same station lasts; the text is for the user.
@@ -126,7 +126,9 @@ def done(hub: Hub, content: dict[str, Any]) -> dict[str, Any] | None:
         raise MessageError(f"Expected the fields {', '.join(('station', *checks))}.")
     checked = {name: check(content[name]) for name, check in checks.items()}
     with hub.turn(small(content["station"])) as station:
-        return act(hub, station, **checked)
+        answer = act(hub, station, **checked)
+    hub.changed()
+    return answer
 
 
 STATE_EVERY_S = 0.25  # s between messages about the state
