@@ -196,18 +196,12 @@ def make_app(hub: Hub, access: Access) -> Any:
 
     async def snapshot(request: Request) -> Response:
         number, name = _number(request), request.path_params["name"]
-        try:
-            saved_as, content = await asyncio.to_thread(hub.snapshots.file, number, name)
-        except GelformError as problem:
-            return PlainTextResponse(str(problem), 404)
+        saved_as, content = await asyncio.to_thread(hub.snapshots.file, number, name)
         headers = {"content-disposition": f'attachment; filename="{saved_as}"', "cache-control": "no-store"}
         return Response(content, media_type="application/octet-stream", headers=headers)
 
     async def recording(request: Request) -> Response:
-        try:
-            path = hub.recordings.file(_number(request))
-        except GelformError as problem:
-            return PlainTextResponse(str(problem), 404)
+        path = hub.recordings.file(_number(request))
         headers, name = {"cache-control": "no-store"}, shown_name(path.name)
         return FileResponse(path, media_type="application/octet-stream", filename=name, headers=headers)
 
@@ -217,6 +211,9 @@ def make_app(hub: Hub, access: Access) -> Any:
             return PlainTextResponse("There is no such report. It ends with the guide.", 404)
         headers = {"content-security-policy": REPORT_POLICY, "cache-control": "no-store"}
         return FileResponse(made.report_file, media_type=TYPES[".html"], headers=headers)
+
+    async def gone(_: Request, problem: Exception) -> Response:
+        return PlainTextResponse(str(problem), 404)
 
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
@@ -266,7 +263,8 @@ def make_app(hub: Hub, access: Access) -> Any:
         WebSocketRoute("/ws", socket),
     ]
     # The page's files are open: they contain nothing secret.
-    return Guard(Starlette(routes=routes, lifespan=lifespan), access, ("/session", *files))
+    app = Starlette(routes=routes, lifespan=lifespan, exception_handlers={GelformError: gone})
+    return Guard(app, access, ("/session", *files))
 
 
 def _number(request: Request) -> int:
