@@ -88,7 +88,7 @@ def use_ros() -> None:
 
 
 def use_zenoh() -> None:
-    from gelform.robots.zenoh_node import ZenohNode
+    from gelform.robots.send import ZenohNode
 
     port = free_port()
     address = f"tcp/{HOST}:{port}"

@@ -44,7 +44,6 @@ TESTED_TOGETHER = {
     "cli/commands/calibrations.py": "cli/commands/test_exchange.py",
     "cli/commands/force.py": "cli/commands/test_calibrate.py",
     "robots/lerobot_depth.py": "robots/test_ros_messages.py",
-    "robots/zenoh_node.py": "robots/test_send.py",
     "simulate/presets.py": "simulate/test_press.py",
 }
 PUBLIC = {

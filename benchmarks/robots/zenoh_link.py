@@ -110,7 +110,7 @@ class Listener:
 
 def publish(address: str, topics: str, count: str) -> None:
     """Publish prepared results at 60 Hz, in a separate process."""
-    from gelform.robots.zenoh_node import ZenohNode
+    from gelform.robots.send import ZenohNode
     from gelform.sensors.playback import Pace
     from robots.bag import frames_and_results, reconstructor
 

@@ -22,8 +22,17 @@ import gelform
 from gelform import Frame, GelformError, Reconstruction, open_source
 from gelform.errors import CalibrationError, DataError, Finding
 from gelform.exchange.exporters.surface import points_from_result
-from gelform.robots.send import BagFile, publish, save_bag, send_results
-from gelform.robots.zenoh_node import Node, ZenohNode, attachment, dds_type, gid_from_token
+from gelform.robots.send import (
+    BagFile,
+    Node,
+    ZenohNode,
+    attachment,
+    dds_type,
+    gid_from_token,
+    publish,
+    save_bag,
+    send_results,
+)
 from gelform.sensors.mcap import typestore
 from made.small_gel import save
 from made.sources import ImageSource

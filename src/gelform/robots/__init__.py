@@ -7,7 +7,6 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     submod_attrs={
         "lerobot_depth": ["depth_from_lerobot_levels", "lerobot_levels_from_depth"],
         "ros_messages": ["TOPICS"],
-        "send": ["BagFile", "SentStats", "publish", "save_bag"],
-        "zenoh_node": ["ZenohNode"],
+        "send": ["BagFile", "SentStats", "ZenohNode", "publish", "save_bag"],
     },
 )
