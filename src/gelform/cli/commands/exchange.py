@@ -125,6 +125,7 @@ def export(
       gelform export out/coin.npz --to stl -o coin.stl
     """
     from gelform.calibration_file import KIND as CALIBRATION
+    from gelform.exchange.exporters.surface import save_surface, save_taxim
     from gelform.foundations.files import kind_of_npz
 
     one_of(to, RENDERERS + FILES, "--to")
@@ -137,12 +138,8 @@ def export(
         )
     target = output or source.with_suffix(f".{to}")
     if to in RENDERERS:
-        from gelform.exchange.exporters.surface import save_taxim
-
         written = save_taxim(source, target, renderer=to)
     else:
-        from gelform.exchange.exporters.surface import save_surface
-
         if target.suffix.lower().lstrip(".") not in (to, to[:3]):
             raise BadParameter(f"expected a name that ends in .{to}, got {target}.", param_hint="--output")
         written = save_surface(gelform.load_result(source), target, overwrite=overwrite)

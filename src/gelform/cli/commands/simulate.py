@@ -99,8 +99,7 @@ def simulate(
       gelform simulate -o loads --loads --count 12
       gelform simulate -o key --height-map key.npy --height-map-mm-per-px 0.02 --depth-mm 0.6
     """
-    from gelform.exchange.exporters import SetOfPresses, save_simulated_press, save_simulated_set
-    from gelform.exchange.exporters.press_folder import check_forms, save_moving_press
+    from gelform.exchange.exporters import press_folder
     from gelform.foundations.files import read_npy
     from gelform.simulate.press import check_press_depth
 
@@ -116,21 +115,25 @@ def simulate(
         with mistakes_in(height_map):
             pressed = simulator.HeightMap(heights, height_map_mm_per_px)
     moving = [one_of(name.strip(), options.FORMS, "--as") for name in forms.split(",")] if forms else []
-    check_forms(moving)
+    press_folder.check_forms(moving)
     if pressed or moving:
         with usage_errors("--depth-mm"):
             check_press_depth(made, depth_mm)
     with shown.progress() as progress:
         if pressed is not None:
-            save_simulated_press(output, made, pressed, depth_mm=depth_mm, seed=seed, twin=twin)
+            press_folder.save_simulated_press(output, made, pressed, depth_mm=depth_mm, seed=seed, twin=twin)
         else:
             oversample = 1 if twin is not None else 3  # a twin answers to the slope at the pixel's center
             with usage_errors("--ball-diameter-mm"):
-                wanted = SetOfPresses(made, tuple(ball_diameter_mm), count, seed, oversample, twin)
-            save_simulated_set(output, wanted, workers=workers, loads=loads, progress=progress)
+                wanted = press_folder.SetOfPresses(
+                    made, tuple(ball_diameter_mm), count, seed, oversample, twin
+                )
+            press_folder.save_simulated_set(output, wanted, workers=workers, loads=loads, progress=progress)
         if moving:
             pressed_along = pressed or simulator.Coin()
-            save_moving_press(output / "moving", twin or made, pressed_along, moving, depth_mm, seed)
+            press_folder.save_moving_press(
+                output / "moving", twin or made, pressed_along, moving, depth_mm, seed
+            )
     say(f"Wrote {output}.", shown.silent)
     presses = count if pressed is None else 1
     name = made.name if like is None else f"like {like}"
