@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from gelform.errors import GelformError
 from gelform.image.background import USUAL_FRAMES
 from gelform.image.view import Frame
 from gelform.sensors.files import SensorSettings
+from gelform.sensors.profiles import PROFILES, SENSORS
 from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_press
 
 BALL_MM = 5.0
@@ -81,6 +83,22 @@ def test_reasons_say_what_to_do(judge, press):
 
 def test_an_image_of_another_sensor_is_refused_with_the_reason(judge, untouched):
     assert "BGR" in looked(judge, untouched[..., ::-1].copy()).reason
+
+
+def test_what_is_known_of_a_camera_is_kept(monkeypatch):
+    """The make's gel too, and the settings under which its images are taken; also where a starter came first."""
+    camera = SimpleNamespace(name="GelSight Mini 2BKR", serial="2BKR", settings={"exposure": 50.0})
+    make = "gelsight-mini"
+    monkeypatch.setitem(PROFILES, make, replace(PROFILES[make], gel_thickness_mm=4.2))
+    known = Guide.of(camera, (240, 320), BALL_MM, profile=make).settings
+    assert (known.serial, known.make, known.camera) == ("2BKR", make, {"exposure": 50.0})
+    assert known.gel_thickness_mm == 4.2
+    rest = simulate_background(SENSORS[make].simulated(), None)
+    begun = Guide.of(
+        camera, (240, 320), BALL_MM, profile=make, begun=load_starter(make).for_frame(rest)
+    ).settings
+    assert (begun.serial, begun.make, begun.camera) == (known.serial, known.make, known.camera)
+    assert begun.gel_thickness_mm is None, "the calibration in use knows none"
 
 
 @pytest.fixture

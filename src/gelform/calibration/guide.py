@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -121,18 +121,27 @@ def settings_of(
     make: str | None = None,
     mm_per_px: float | None = None,
 ) -> SensorSettings:
-    """What is known of a source's sensor: the make's scale and view of frames (H, W), and the serial number.
+    """What is known of a source's sensor: the make's scale, gel and view of frames (H, W); its serial number and settings.
 
     A given scale takes the place of the make's; one of them is needed. ValueError: the make is unknown.
     """
-    view, sigma, name = View(), None, source.name
+    view, sigma, name, thickness_mm = View(), None, source.name, None
     if make is not None:
         profile = profile_named(make)
-        view, name = profile.view(frame_shape), profile.name
+        view, name, thickness_mm = profile.view(frame_shape), profile.name, profile.gel_thickness_mm
         if mm_per_px is None:
             mm_per_px, sigma = profile.mm_per_px, profile.mm_per_px_sigma
     assert mm_per_px is not None
-    return SensorSettings(name, mm_per_px, sigma, make=make or "", serial=source.serial or "", view=view)
+    return SensorSettings(
+        name,
+        mm_per_px,
+        sigma,
+        make=make or "",
+        serial=source.serial or "",
+        gel_thickness_mm=thickness_mm,
+        view=view,
+        camera=dict(source.settings),
+    )
 
 
 SMALL = 8  # px, width of the blocks that are compared for motion
@@ -333,15 +342,20 @@ class Guide:
         `frame_shape` is (H, W) of its frames, `mm_per_px` for a sensor without a profile. If the profile's starter made the
         calibration in use (`begun`), its scale and view are taken. GelformError: the ball or the scale is impossible.
         """
-        serial = source.serial or ""
         try:
             diameter = check_ball_diameter(ball_diameter_mm)
             if isinstance(source, SimulatedSource):
-                settings = SensorSettings(source.sensor.name, source.sensor.mm_per_px, serial=serial)
-            elif begun is not None and begun.settings.starter and begun.settings.starter["sensor"] == profile:
-                scale = begun.known_mm_per_px, begun.mm_per_px_sigma
                 settings = SensorSettings(
-                    begun.sensor_name, *scale, make=profile, serial=serial, view=begun.view
+                    source.sensor.name, source.sensor.mm_per_px, serial=source.serial or ""
+                )
+            elif begun is not None and begun.settings.starter and begun.settings.starter["sensor"] == profile:
+                settings = replace(
+                    settings_of(source, frame_shape, mm_per_px=begun.known_mm_per_px),
+                    name=begun.sensor_name,
+                    mm_per_px_sigma=begun.mm_per_px_sigma,
+                    make=profile,
+                    gel_thickness_mm=begun.settings.gel_thickness_mm,
+                    view=begun.view,
                 )
             elif profile:
                 settings = settings_of(source, frame_shape, profile)

@@ -11,7 +11,7 @@ import time
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -341,7 +341,7 @@ def _sensor_settings(grabber: gelform.Grabber, wanted: PressesTaken) -> Any:
             doubt = check_gel_width(settings.view.shape or (height, width), mm_per_px, sensor)
         if doubt:
             say(f"note: {doubt}")
-    return replace(settings, camera=grabber.settings)
+    return settings
 
 
 def _camera_settings(pairs: list[str]) -> dict[str, float | str]:
