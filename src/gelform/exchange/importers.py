@@ -1,4 +1,4 @@
-"""A Calibration from another package: its tables, its network, or its folder; one function for all formats.
+"""Files of other packages: look-up tables and networks as a Calibration, and Taxim's tables as a look for simulation.
 
 Look-up tables from color difference to gradients (`table_smooth.npy`, and MATLAB's `LookupTable` in a `.mat`) are in the
 tradition of Dong and Yuan (W. Yuan, S. Dong, E. H. Adelson, GelSight: high-resolution robot tactile sensors, Sensors
@@ -447,25 +447,25 @@ def _check_pickle(content: bytes) -> None:
     torch makes storages as large as they say, and `weights_only` lets a pickle repeat what it holds, which doubles it with
     each line.
     """
-    said: list[tuple[str, Any]] = []  # the operations so far, without those that only remember
+    before: list[tuple[str, Any]] = []  # the operations so far, without those that only remember
     kinds: dict[Any, str] = {}  # of what is remembered
     numbers = 0
     for operation, argument, _ in pickletools.genops(content):
         name = operation.name
         if name.endswith("BINPUT"):
-            kinds[argument] = said[-1][0]
+            kinds[argument] = before[-1][0]
             continue
         if name.endswith("BINGET") and kinds.get(argument, "") not in ("GLOBAL", "BINUNICODE"):
             raise UnpicklingError("something repeated")
         if name == "GLOBAL" and not _NAMES.fullmatch(str(argument)):
             raise UnpicklingError(f"the name {argument}")
         if name == "BINPERSID":
-            (of_count, count), (of_storage, _) = said[-2:]
+            (of_count, count), (of_storage, _) = before[-2:]
             is_number = of_count in ("BININT", "BININT1", "BININT2", "LONG1") and of_storage == "TUPLE"
             numbers += count if is_number else MAX_BYTES + 1
         if not 0 <= numbers <= MAX_BYTES:
             raise UnpicklingError("a storage larger than the file")
-        said.append((name, argument))
+        before.append((name, argument))
 
 
 def _of_file(path: str | PathLike[str], weights: tuple[Any, ...], biases: tuple[Any, ...]) -> Layers:

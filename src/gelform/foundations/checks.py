@@ -79,7 +79,9 @@ def check_image(image: ArrayLike, *, shape: tuple[int, int] | None = None, name:
             hint = " Move the axis of the channels last."
         raise ValueError(f"Expected {name} of shape (H, W, 3) in RGB, got {array.shape}.{hint}")
     if shape is not None and array.shape[:2] != tuple(shape):
-        raise ValueError(f"Expected {name} of {shape[0]}x{shape[1]} px (height x width), got {_size(array)}.")
+        raise ValueError(
+            f"Expected {name} of {shape[0]}x{shape[1]} px (height x width), got {array.shape[0]}x{array.shape[1]}."
+        )
     if array.dtype == np.uint8:
         return array
     if not np.issubdtype(array.dtype, np.floating):
@@ -199,10 +201,6 @@ def _as_float(array: Array, name: str, dtype: Any = np.float32) -> Array:
     # A value that does not fit becomes infinite and is refused.
     with np.errstate(over="ignore", under="ignore"):
         return np.ascontiguousarray(array, dtype=dtype).reshape(array.shape)
-
-
-def _size(array: Array) -> str:
-    return f"{array.shape[0]}x{array.shape[1]}"
 
 
 T = TypeVar("T")

@@ -129,7 +129,12 @@ _FORMULA = re.compile(r"'*[=+\-@\t\r]")
 
 def table_text(rows: Iterable[Iterable[Any]]) -> str:
     """Rows of cells as lines of a CSV file; an apostrophe comes before text that a spreadsheet would run as a formula."""
-    return "".join(map(_line, rows))
+    lines = []
+    for row in rows:
+        text = io.StringIO()  # with another end of lines, a lone carriage return would not be quoted
+        csv.writer(text).writerow(f"'{cell}" if _is_formula(cell) else cell for cell in row)
+        lines.append(text.getvalue().removesuffix("\r\n") + "\n")
+    return "".join(lines)
 
 
 def plain_cell(cell: str) -> str:
@@ -137,24 +142,14 @@ def plain_cell(cell: str) -> str:
     return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
 
 
-def _line(row: Iterable[Any]) -> str:
-    text = io.StringIO()
-    csv.writer(text).writerow(
-        map(_safe, row)
-    )  # with another end of lines, a lone carriage return would not be quoted
-    return text.getvalue().removesuffix("\r\n") + "\n"
-
-
-def _safe(cell: Any) -> Any:
-    return f"'{cell}" if isinstance(cell, str) and _FORMULA.match(cell) and not _is_number(cell) else cell
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
+def _is_formula(cell: Any) -> bool:
+    if not isinstance(cell, str) or not _FORMULA.match(cell):
         return False
-    return True
+    try:
+        float(cell)
+    except ValueError:
+        return True
+    return False
 
 
 LEFT_FILE = re.compile(r"\.gelform-[0-9a-f]{12}\.tmp")
@@ -570,12 +565,8 @@ def _json(meta: Mapping[str, Any]) -> str:
 
 # PNG with runs of equal bytes and Huffman codes only, because a camera's noise leaves no repetitions to find. Files are a
 # fifth smaller than at zlib's level 1, and written as fast; any PNG reader reads them.
-FAST_PNG = (
-    16,
-    1,
-    17,
-    3,
-)  # cv2.IMWRITE_PNG_COMPRESSION, level 1, IMWRITE_PNG_STRATEGY, IMWRITE_PNG_STRATEGY_RLE
+# In OpenCV's words: IMWRITE_PNG_COMPRESSION, level 1, IMWRITE_PNG_STRATEGY, IMWRITE_PNG_STRATEGY_RLE.
+FAST_PNG = (16, 1, 17, 3)
 
 
 def picture_bytes(pixels: Array, ending: str = ".png", settings: Sequence[int] = ()) -> bytes:

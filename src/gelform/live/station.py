@@ -28,7 +28,7 @@ from gelform.sensors.record import KEPT_FRAMES
 from gelform.sensors.source import Source
 from gelform.sensors.streams.memory import Memory, Timed, Work
 from gelform.sensors.streams.pipeline import NewestFrames, Pipeline
-from gelform.sensors.streams.sensor_health import CameraCheck
+from gelform.sensors.streams.sensor_health import camera_findings
 
 
 class MovedSince:
@@ -197,8 +197,8 @@ class Station:
     @setup.setter
     def setup(self, setup: Setup) -> None:
         if (memory := setup.memory) is not None:
-            check = CameraCheck(memory.reconstruct.calibration)
-            memory.standing = lambda: check(self.grabber)
+            calibration = memory.reconstruct.calibration
+            memory.standing = lambda: camera_findings(calibration, self.grabber)
             memory.run_by(lambda work: self._examine(work))
         self._setup = setup
         self.show_again()

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gelform.arrays import Map
+from gelform.arrays import Array, Map
 from gelform.depth.integrate import integrate
 from gelform.errors import GelformError
 from gelform.foundations.checks import check_list
@@ -20,7 +20,6 @@ from gelform.motion.between import (
     LEAST_PX,
     LOST,
     MOST_TURN_DEG,
-    Array,
     Motion,
     TouchedSurface,
     about_other_center,

@@ -388,13 +388,15 @@ class UsbCamera(Closing):
         while not self._closed:
             with self._lock:
                 grabbed = not self._closed and self._capture.grab()
-                time_s, wall_time_ns = self._captured_s(), time.time_ns()
+                now_s, wall_time_ns = time.monotonic(), time.time_ns()
+                stamp_s = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000
                 pixels = self._capture.retrieve()[1] if grabbed else None
             if self._closed:
                 return
             if not grabbed:
                 raise SourceLostError(f"{self.name} gives no frame: it was unplugged, or hangs.")
             index += 1
+            time_s = stamp_s if 0 <= now_s - stamp_s < 5 else now_s  # an older stamp is of another clock
             frame = self._frame(pixels, time_s, wall_time_ns, index)
             torn = torn + 1 if frame is None else 0
             if torn > MAX_TORN:
@@ -432,12 +434,6 @@ class UsbCamera(Closing):
         content = pixels.tobytes()
         image = image_from_jpeg(content, self._reduction)
         return None if image is None else Frame(image, time_s, wall_time_ns, index, content)
-
-    def _captured_s(self) -> float:
-        """The driver's time stamp; the current time if it is more than 5 s old, of another clock."""
-        now = time.monotonic()
-        stamp = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000
-        return stamp if 0 <= now - stamp < 5 else now
 
     def _read_back(self) -> dict[str, float | str]:
         """The camera's current settings, once the way of decoding is chosen."""

@@ -7,8 +7,8 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
+from functools import partial
 from io import BytesIO
-from itertools import chain
 from os import PathLike
 from pathlib import Path
 from typing import Any, cast
@@ -22,11 +22,11 @@ from gelform.foundations.checks import (
     check_gel_thickness,
     check_path,
     check_positive,
+    check_response,
     check_sensor_pitches,
-    check_within,
 )
 from gelform.foundations.files import MAX_TEXT_BYTES, bytes_of, way_for
-from gelform.image.background import Background, background_from_frames
+from gelform.image.background import background_from_frames
 from gelform.image.view import MAX_PIXELS, View, rgb_from_bgr
 from gelform.sensors.pictures import (
     JPEG,
@@ -68,7 +68,6 @@ def read_toml(path: Path, what: str, error: type[GelformError] = DataError) -> d
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 FILM_SUFFIXES = (*VIDEO_SUFFIXES, ".mcap")
-USUAL_RATE_HZ = 25.0  # usual rate of videos and images without time stamps
 
 
 def is_video(path: str | Path) -> bool:
@@ -196,20 +195,16 @@ def images_of_stack(path: Path, most_pixels: float = MAX_PIXELS) -> tuple[Callab
     return image, len(pages)
 
 
-def _images_in(path: Path) -> Iterator[Array]:
-    """The image of a file, or all of them; a `.npy` of the gel at rest may hold an average, in floats."""
-    if is_stack(path):
-        image, count = images_of_stack(path)
-        yield from map(image, range(count))
-    elif is_npy(path) and (values := npy_values(path)).dtype.kind == "f":
-        levels = np.asarray(values, dtype=np.float32)
-        if not (np.isfinite(levels).all() and levels.min() >= 0 and 2 < levels.max() <= 255):
-            raise DataError(
-                f"Expected gray levels from 0 to 255 in {path}, got {levels.min():.3g} to {levels.max():.3g}."
-            )
-        yield levels
-    else:
-        yield read_image(path)
+def _image_at_rest(path: Path) -> Array:
+    """The image of a file; a `.npy` of the gel at rest may hold an average, in floats."""
+    if not is_npy(path) or (values := npy_values(path)).dtype.kind != "f":
+        return read_image(path)
+    levels = np.asarray(values, dtype=np.float32)
+    if not (np.isfinite(levels).all() and levels.min() >= 0 and 2 < levels.max() <= 255):
+        raise DataError(
+            f"Expected gray levels from 0 to 255 in {path}, got {levels.min():.3g} to {levels.max():.3g}."
+        )
+    return levels
 
 
 def _image_in(content: bytes, path: Path, most_pixels: float) -> Image:
@@ -294,7 +289,7 @@ def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
         mm_per_px=check_sensor_pitches(settings["mm_per_px"]),
         mm_per_px_sigma=None if sigma is None else check_positive(sigma, "mm_per_px_sigma"),
         gel_thickness_mm=None if thickness is None else check_gel_thickness(thickness),
-        response=check_within(settings.get("response", 1.0), "response", 0.05, 20),
+        response=check_response(settings.get("response", 1.0)),
         view=View.from_dict(settings.get("view", {})),
         measured=_measured(settings.get("measured", {})),
         camera=settings.get("camera", {}),
@@ -382,24 +377,22 @@ def read_background(paths: str | Path | Sequence[str | Path], *, bgr: bool = Fal
         `background_from_frames`).
     """
     files = background_files(paths)
-    if len(files) == 1 and not is_stack(files[0]):
-        rest = next(_images_in(files[0]))
-    else:
-        rest = averaged_background(paths).background
-    return rgb_from_bgr(rest) if bgr else rest
-
-
-def averaged_background(paths: str | Path | Sequence[str | Path]) -> Background:
-    """As `read_background`, with the noise of one frame and the names of rejected images with their reasons."""
-    files = background_files(paths)
-    names: list[str] = []
+    named: list[tuple[str, Callable[[], Array]]] = []  # each image is read when it is asked for
     for file in files:
-        several = range(images_of_stack(file)[1]) if is_stack(file) else None
-        names += [str(file)] if several is None else [f"{file} {number}" for number in several]
-    try:
-        return background_from_frames(chain.from_iterable(map(_images_in, files)), names=names)
-    except ValueError as problem:  # an image of another size
-        raise DataError(f"Images of the gel at rest in {files[0].parent}: {problem}") from problem
+        if is_stack(file):
+            image, count = images_of_stack(file)
+            named += [(f"{file} {number}", partial(image, number)) for number in range(count)]
+        else:
+            named.append((str(file), partial(_image_at_rest, file)))
+    if len(named) == 1 and not is_stack(files[0]):
+        rest = named[0][1]()
+    else:
+        try:
+            taken = background_from_frames((read() for _, read in named), names=[name for name, _ in named])
+        except ValueError as problem:  # an image of another size
+            raise DataError(f"Images of the gel at rest in {files[0].parent}: {problem}") from problem
+        rest = taken.background
+    return rgb_from_bgr(rest) if bgr else rest
 
 
 def background_in(folder: Path) -> Path:

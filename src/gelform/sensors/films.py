@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Container, Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -18,14 +17,13 @@ from gelform.image.view import Frame
 from gelform.sensors.files import (
     FILM_SUFFIXES,
     IMAGE_SUFFIXES,
-    USUAL_RATE_HZ,
     images_of_stack,
     is_stack,
     is_video,
     read_image,
 )
 from gelform.sensors.mcap import Recording, is_bag_folder
-from gelform.sensors.playback import Film, RecordingFacts
+from gelform.sensors.playback import USUAL_RATE_HZ, Film, RecordingFacts
 
 
 def open_film(path: Path, *, rate_hz: float | None = None, bgr: bool = False, scan: bool = False) -> Film:
@@ -93,15 +91,6 @@ class Images(Film):
         return Frame(self._image(number), self.times_s[number], 0, number)
 
 
-@dataclass(frozen=True)
-class VideoFacts:
-    """Facts that a video file states; 0 where unknown."""
-
-    shape: tuple[int, int]  # (H, W)
-    frame_rate_hz: float
-    count: int  # of frames
-
-
 class Video(Film):
     """The frames of a video file; each loop over it reads them from the start, and `video[number]` gives any.
 
@@ -125,14 +114,13 @@ class Video(Film):
     def __init__(self, path: str | Path) -> None:
         self.path = check_path(path)
         capture = self._opened()
-        width = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
-        height = int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        sides = {"width": cv2.CAP_PROP_FRAME_WIDTH, "height": cv2.CAP_PROP_FRAME_HEIGHT}
+        settings = {side: float(int(capture.get(which))) for side, which in sides.items()}
         rate = float(capture.get(cv2.CAP_PROP_FPS))
-        rate = rate if 0 < rate < 1000 else 0.0
-        self.facts = VideoFacts((height, width), rate, max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT))))
+        rate_hz = rate if 0 < rate < 1000 else None
+        self.count = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
         capture.release()
-        self.count, settings = self.facts.count, {"width": float(width), "height": float(height)}
-        super().__init__(self.path, RecordingFacts(self.path.name, settings=settings, rate_hz=rate or None))
+        super().__init__(self.path, RecordingFacts(self.path.name, settings=settings, rate_hz=rate_hz))
 
     def frames(self, only: Container[int] | None = None) -> Iterator[Frame]:
         """The frames, or those with an index in `only`; the others are not decoded."""
@@ -143,16 +131,16 @@ class Video(Film):
                 if only is None or index in only:
                     time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
                     if index and not time_s > 0:  # no time stamps: use the frame rate
-                        time_s = index / (self.facts.frame_rate_hz or USUAL_RATE_HZ)
+                        time_s = index / (self.camera.rate_hz or USUAL_RATE_HZ)
                     yield self._grabbed(capture, float(time_s), index)
                 index += 1
         finally:
             capture.release()
         if index == 0:
             raise DataError(f"{self.path} has no frame that can be decoded. Record it again, as AVI or MP4.")
-        if index < 0.9 * self.facts.count:  # containers may declare a few too many
+        if index < 0.9 * self.count:  # containers may declare a few too many
             raise DataError(
-                f"{self.path} ends after {index} of {self.facts.count} frames: truncated or damaged. "
+                f"{self.path} ends after {index} of {self.count} frames: truncated or damaged. "
                 "Copy or record it again."
             )
 
@@ -183,7 +171,7 @@ class Video(Film):
             self._stamps.append(self._capture.get(cv2.CAP_PROP_POS_MSEC))
         self._next = len(self._stamps)
         if self._next >= 2 and np.diff(self._stamps).min() <= 0:  # no time stamps
-            rate_hz = self.facts.frame_rate_hz or USUAL_RATE_HZ
+            rate_hz = self.camera.rate_hz or USUAL_RATE_HZ
             return tuple(number / rate_hz for number in range(self._next))
         return tuple((stamp - self._stamps[0]) / 1000 for stamp in self._stamps)
 

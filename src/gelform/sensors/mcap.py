@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from gelform.arrays import Image
-from gelform.errors import DataError, needed, said
+from gelform.errors import DataError, cannot, needed, said
 from gelform.foundations.files import conversion_of_bag
 from gelform.image.view import Frame
 from gelform.sensors.playback import (
@@ -135,12 +135,11 @@ class McapRecording:
         self.frames = self._kept = self._kept_bytes = 0
         self._frame_id = facts.serial or facts.name
         self._epoch_ns: int | None = None
-        try:
-            self._file = path.open("xb")
-        except FileExistsError:
-            raise DataError(f"{path} is there already. Give another name, or remove it.") from None
-        except OSError as problem:
-            raise DataError(f"Cannot write {path}: {problem.strerror}.") from problem
+        with cannot(f"write {path}"):
+            try:
+                self._file = path.open("xb")
+            except FileExistsError:
+                raise DataError(f"{path} is there already. Give another name, or remove it.") from None
         uncompressed = mcap.CompressionType.NONE  # pictures are already compressed
         self._writer = mcap.Writer(self._file, chunk_size=2**24, compression=uncompressed)
         # The library ends a chunk only by its size; the method that ends one is private (a test guards this use).

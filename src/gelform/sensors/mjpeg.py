@@ -66,9 +66,18 @@ class MjpegUrl(Closing):
             first = self._body.read(OPEN_S)
             self._splitter = PartSplitter(self._boundary(first))
             self._arrived = self._parts(first)
-            self.settings = self._settings_of_first()
+            until = time.monotonic() + OPEN_S
+            while (shape := next(filter(None, map(jpeg_shape, self._arrived)), None)) is None:
+                if (left := until - time.monotonic()) <= 0:
+                    raise SensorError(f"{self.url} answers, but sent no JPEG picture within {OPEN_S:g} s.")
+                self._arrived = self._read(left)
             undone.pop_all()  # it sends pictures; the connection stays open
-        self._reduction = int(self.settings["reduced"])
+        self._reduction = reduction_of(shape)
+        self.settings: dict[str, float | str] = {
+            "width": shape[1],
+            "height": shape[0],
+            "reduced": self._reduction,
+        }
 
     def __iter__(self) -> Iterator[Frame]:
         index, torn, picture_s = -1, 0, time.monotonic()
@@ -105,15 +114,6 @@ class MjpegUrl(Closing):
                 "address of the MJPEG stream itself, not of the page around it."
             )
         return first.partition(b"\r\n")[0].decode("latin-1")
-
-    def _settings_of_first(self) -> dict[str, float | str]:
-        """Wait for the first picture; return its size and reduction."""
-        until = time.monotonic() + OPEN_S
-        while (shape := next(filter(None, map(jpeg_shape, self._arrived)), None)) is None:
-            if (left := until - time.monotonic()) <= 0:
-                raise SensorError(f"{self.url} answers, but sent no JPEG picture within {OPEN_S:g} s.")
-            self._arrived = self._read(left)
-        return {"width": shape[1], "height": shape[0], "reduced": reduction_of(shape)}
 
     def _read(self, timeout_s: float) -> list[bytes]:
         data = self._body.read(timeout_s)

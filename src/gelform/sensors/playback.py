@@ -20,10 +20,10 @@ from gelform.arrays import Image
 from gelform.errors import DataError, GelformError
 from gelform.foundations.files import FAST_PNG, picture_bytes
 from gelform.image.view import Frame, in_rgb
-from gelform.sensors.files import USUAL_RATE_HZ
 from gelform.sensors.pictures import check_declared, image_from_jpeg
 
 Own = TypeVar("Own", bound="Closing")
+USUAL_RATE_HZ = 25.0  # usual rate of videos and images without time stamps
 FORMAT_VERSION = 1
 CALIBRATION, BACKGROUND = "calibration.npz", "background.png"
 # What a recording may carry, with its types.

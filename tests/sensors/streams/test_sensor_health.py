@@ -22,12 +22,12 @@ from gelform.sensors.streams.sensor_health import (
     AFTER_S,
     MEAN_IMAGE_S,
     BackgroundDrift,
-    CameraCheck,
     DriftEvidence,
     Frozen,
     Marks,
     SameGel,
     Touched,
+    camera_findings,
     light_findings,
     light_from_outside,
 )
@@ -73,6 +73,7 @@ def named(gains):
 def test_light_that_changes_is_brightness_or_color():
     assert named([1.0, 1.02, 0.99]) == {}
     assert named([0.8, 0.8, 0.8]) == {"brightness_shift": pytest.approx(-0.2)}
+    assert "(R +0.0 %, G +6.0 %, B -1.0 %)" in light_findings(np.array([1.0, 1.06, 0.99]))[0].message
     assert named([1.0, 1.06, 1.0]) == {"color_shift": pytest.approx(0.06)}
 
 
@@ -125,15 +126,18 @@ def mismatches(result):
 
 
 def test_another_unit_is_named_and_the_same_or_unknown_settings_are_none(calibration):
-    check = CameraCheck(replace(calibration, serial="D1"))
-    (finding,) = check(camera("D2"))
+    known, unknown = (replace(calibration, serial=serial) for serial in ("D1", None))
+    (finding,) = camera_findings(known, camera("D2"))
     assert finding.name == "other_camera"
     assert "serial is D2, but the calibration is of D1" in finding.message
-    unknown = CameraCheck(replace(calibration, serial=None))
-    assert check(camera("D1")) == check(camera()) == unknown(camera("D2")) == ()
-    check = CameraCheck(taken_with(calibration, exposure=100.0))
-    assert check(camera(exposure=100.0)) == check(camera()) == ()
-    assert CameraCheck(calibration)(camera(exposure=100.0)) == ()
+    exposed = taken_with(calibration, exposure=100.0)
+    for one, used in (
+        *((known, camera(serial)) for serial in ("D1", None)),
+        (unknown, camera("D2")),
+        *((exposed, used) for used in (camera(exposure=100.0), camera())),
+        (calibration, camera(exposure=100.0)),
+    ):
+        assert camera_findings(one, used) == ()
 
 
 def test_a_camera_that_forgot_its_settings_when_it_was_unplugged_is_found(calibration, at_rest):

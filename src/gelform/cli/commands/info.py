@@ -260,16 +260,17 @@ def _roughness(found: gelform.Reconstruction) -> dict[str, Any] | None:
 
 def _video(path: Path) -> dict[str, Any]:
     """The facts that the file states; calibration finds the presses."""
-    facts = gelform.Video(path).facts
+    video = gelform.Video(path)
+    rate_hz = video.camera.rate_hz or 0.0
     missing = ["the ball's diameter (--ball-diameter-mm)"]
     if not (path.parent / "sensor.toml").is_file():
         missing.append("the scale (--mm-per-px or --sensor)")
     return {
         "kind": "video",
-        "size_px": list(facts.shape),
-        "frames": facts.count,
-        "frame_rate_hz": facts.frame_rate_hz,
-        "duration_s": facts.count / facts.frame_rate_hz if facts.frame_rate_hz else None,
+        "size_px": [int(video.camera.settings[side]) for side in ("height", "width")],
+        "frames": video.count,
+        "frame_rate_hz": rate_hz,
+        "duration_s": video.count / rate_hz if rate_hz else None,
         "missing": missing,
     }
 

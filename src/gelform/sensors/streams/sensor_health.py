@@ -13,9 +13,7 @@ up, a gel that relaxes) or from a slow press. The two look alike for a while. Sh
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -173,7 +171,12 @@ class BackgroundDrift:
             self._mean = blocks
         else:
             self._mean += np.float32(-np.expm1(-step_s / MEAN_S)) * (blocks - self._mean)
-        self._follow(np.where(free[..., None], self._mean, np.float32(0)), free.mean())
+        # Follow the light of the free blocks; the others are 0.
+        seen, untouched = np.where(free[..., None], self._mean, np.float32(0)), self._local_blocks
+        usual = light_from_blocks(seen, lit(untouched, self.light), self.usual)
+        self.usual = usual if usual.is_known else None
+        if free.mean() >= LEAST_FREE and self.usual is not None:
+            self.light, self.usual = light_at_rest(seen, untouched, self._now), None
         now = lit(self._local_blocks, self._now)
         self.touched.mark(time_s, step_s, contact, blocks / now - 1, now)
         if time_s - self._mean_image_s >= MEAN_IMAGE_S:
@@ -184,14 +187,6 @@ class BackgroundDrift:
         self._contact[:] = False
         # The fitted light can exceed a camera's largest gray level.
         return np.asarray(np.clip(lit(self._local, self.light), 0, 255), dtype=np.float32)
-
-    def _follow(self, blocks: Map, free: float) -> None:
-        """Follow the light of blocks (h, w, 3), of which this part is free of contact and the others are 0."""
-        untouched = self._local_blocks
-        usual = light_from_blocks(blocks, lit(untouched, self.light), self.usual)
-        self.usual = usual if usual.is_known else None
-        if free >= LEAST_FREE and self.usual is not None:
-            self.light, self.usual = light_at_rest(blocks, untouched, self._now), None
 
     @property
     def _now(self) -> Numbers:
@@ -494,40 +489,24 @@ BRIGHTER = 0.08  # log of the gain of all channels: slopes stay good, but someth
 COLORED = 0.03  # log of one channel's gain relative to the others
 
 
-class CameraCheck:
-    """Compares a camera with the calibration's, again after each change of its facts.
+def camera_findings(calibration: Calibration, camera: Source | Grabber) -> tuple[Finding, ...]:
+    """Find `other_camera` and `settings_mismatch` from serial number and settings, as read back and as far as known.
 
-    A reconnected camera loses settings.
+    Their figures are 1, and the number of settings that differ from the calibration. A reconnected camera loses settings.
     """
-
-    def __init__(self, calibration: Calibration) -> None:
-        self._serial = calibration.serial
-        self._settings = calibration.settings.camera or {}
-        self._compared: tuple[str | None, dict[str, Any]] | None = None
-        self._findings: tuple[Finding, ...] = ()
-
-    def __call__(self, camera: Source | Grabber) -> tuple[Finding, ...]:
-        """Find `other_camera` and `settings_mismatch` from serial number and settings, as read back and as far as known.
-
-        Their figures are 1, and the number of settings that differ from the calibration.
-        """
-        now = camera.serial, dict(camera.settings)
-        if self._compared != now:
-            self._compared, self._findings = now, tuple(self._differences(*now))
-        return self._findings
-
-    def _differences(self, serial: str | None, settings: dict[str, Any]) -> Iterator[Finding]:
-        if serial and self._serial and serial != self._serial:
-            message = (
-                f"The camera's serial is {serial}, but the calibration is of {self._serial}. Colors differ from unit to "
-                "unit. Use this unit's calibration, or calibrate it."
-            )
-            yield Finding("other_camera", message, 1.0)
-        different = settings_mismatch(self._settings, settings)
-        if different:
-            said = ", ".join(f"{name} {now} instead of {then}" for name, (then, now) in different.items())
-            message = f"The camera's settings differ from those at calibration: {said}. Restore them, or calibrate again."
-            yield Finding("settings_mismatch", message, float(len(different)))
+    findings = []
+    serial, calibrated = camera.serial, calibration.serial
+    if serial and calibrated and serial != calibrated:
+        message = (
+            f"The camera's serial is {serial}, but the calibration is of {calibrated}. Colors differ from unit to "
+            "unit. Use this unit's calibration, or calibrate it."
+        )
+        findings.append(Finding("other_camera", message, 1.0))
+    if different := settings_mismatch(calibration.settings.camera or {}, camera.settings):
+        said = ", ".join(f"{name} {now} instead of {then}" for name, (then, now) in different.items())
+        message = f"The camera's settings differ from those at calibration: {said}. Restore them, or calibrate again."
+        findings.append(Finding("settings_mismatch", message, float(len(different))))
+    return tuple(findings)
 
 
 class Frozen:

@@ -32,7 +32,7 @@ from gelform.image.background import USUAL_FRAMES
 from gelform.sensors.source import Source
 from gelform.sensors.streams.memory import Memory, Smoothing, StreamFrame, Timed, Work
 from gelform.sensors.streams.pipeline import Feed, Pipeline, SourceLike, StreamStats, feed_from_source
-from gelform.sensors.streams.sensor_health import CameraCheck
+from gelform.sensors.streams.sensor_health import camera_findings
 
 STEADY_S = 1.0  # s without motion; a hand that presses cannot keep as still
 LEAST = 3  # frames of that second; fewer cannot agree
@@ -256,8 +256,8 @@ def stream(
     feed = feed_from_source(source)
 
     def memory_of(reconstruct: Reconstructor) -> Memory:
-        check = CameraCheck(reconstruct.calibration)
-        return Memory(reconstruct, smoothing=smoothing, standing=lambda: check(feed.camera))
+        own = reconstruct.calibration
+        return Memory(reconstruct, smoothing=smoothing, standing=lambda: camera_findings(own, feed.camera))
 
     try:
         if reconstruct is None:
