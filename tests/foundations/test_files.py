@@ -56,27 +56,23 @@ def test_a_file_of_the_largest_size_is_read_and_a_larger_one_is_not(tmp_path):
     path.write_bytes(bytes(range(100)))
     assert bytes_of(path, "numbers", 100) == bytes(range(100))
     assert present_file(path, "numbers") == path
-    with pytest.raises(
-        CalibrationError, match=r"Expected numbers of at most 9\.9e-05 MB, got .*a\.bin of 0\.0001 MB"
-    ):
+    said = r"Expected numbers of at most 9\.9e-05 MB, got .*a\.bin of 0\.0001 MB"
+    with pytest.raises(CalibrationError, match=said):
         bytes_of(path, "numbers", 99, CalibrationError)
 
 
-def test_what_is_no_file_is_named(tmp_path):
-    with pytest.raises(DataError, match="got the folder"):
-        bytes_of(tmp_path, "numbers", 100)
-    with pytest.raises(DataError, match=r"No file .*none: expected numbers"):
-        bytes_of(tmp_path / "none", "numbers", 100)
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="no pipes with a name")
-def test_pipes_and_links_to_themselves_are_named(tmp_path):
+def test_what_is_no_file_is_named(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(DataError, match="a pipe or a device"):
-        bytes_of(tmp_path / "pipe", "numbers", 100)
     (tmp_path / "link").symlink_to(tmp_path / "link")
-    with pytest.raises(DataError, match=r"Cannot read .*link: Too many levels"):
-        bytes_of(tmp_path / "link", "numbers", 100)
+    for name, said in (
+        (".", "got the folder"),
+        ("none", r"No file .*none: expected numbers"),
+        ("pipe", "a pipe or a device"),
+        ("link", r"Cannot read .*link: Too many levels"),
+    ):
+        with pytest.raises(DataError, match=said):
+            bytes_of(tmp_path / name, "numbers", 100)
 
 
 TEXT = st.text(st.sampled_from("=+-@'\t\r\n,\"ab1."), max_size=6)
@@ -91,10 +87,8 @@ def test_text_comes_back_and_is_no_formula(rows):
 
 
 def test_numbers_stay_numbers():
-    assert (
-        table_text([["=1+1", "-1.5", "-1e-3", -2, 0.25, "-x", None, "'a"]])
-        == "'=1+1,-1.5,-1e-3,-2,0.25,'-x,,'a\n"
-    )
+    row = ["=1+1", "-1.5", "-1e-3", -2, 0.25, "-x", None, "'a"]
+    assert table_text([row]) == "'=1+1,-1.5,-1e-3,-2,0.25,'-x,,'a\n"
 
 
 KIND = "gelform test file"
@@ -184,20 +178,32 @@ def test_a_flipped_bit_anywhere_in_the_content_is_refused(tmp_path):
         assert {key: meta[key] for key in META} == META
 
 
-def test_altered_arrays_and_altered_settings_are_refused(tmp_path):
+LYING = npy(np.zeros(1)).replace(b"(1,), }       ", b"(99999999,), }")
+UNSIGNED = json.dumps({"format": KIND, "format_version": 1, "digest": ""})[:-1]
+ALTERED = "altered after it was written"
+CHANGED = [  # a member, its bytes or its settings, and what is said
+    ("depth_mm", npy(ARRAYS["depth_mm"] + 1), ALTERED),
+    ("depth_mm", npy(ARRAYS["depth_mm"].reshape(4, 3)), ALTERED),
+    ("extra", npy(np.zeros(2)), ALTERED),
+    ("meta", {"sensor": "another"}, ALTERED),
+    ("depth_mm", npy(np.array([{"a": 1}], dtype=object)), "pickled objects"),
+    ("depth_mm", LYING, r"an array of shape \(99999999,\) in 8 bytes"),
+    *(
+        ("meta", npy(np.array(f'{UNSIGNED}, "size": {number}}}')), "finite numbers in the settings")
+        for number in ("1e400", "-1e400", "NaN")
+    ),
+]
+
+
+@pytest.mark.parametrize(("member", "content", "said"), CHANGED)
+def test_what_was_altered_and_what_no_file_holds_is_refused(tmp_path, member, content, said):
     path = tmp_path / "x.npz"
     write(path)
-    meta = json.loads(str(np.load(path)["meta"]))
-    for changed in (
-        {"depth_mm.npy": npy(ARRAYS["depth_mm"] + 1)},
-        {"depth_mm.npy": npy(ARRAYS["depth_mm"].reshape(4, 3))},
-        {"extra.npy": npy(np.zeros(2))},
-        {"meta.npy": npy(np.array(json.dumps(meta | {"sensor": "another"})))},
-    ):
-        write(path, overwrite=True)
-        rewrite(path, changed)
-        with pytest.raises(DataError, match="altered after it was written"):
-            read(path)
+    if isinstance(content, dict):
+        content = npy(np.array(json.dumps(json.loads(str(np.load(path)["meta"])) | content)))
+    rewrite(path, {f"{member}.npy": content})
+    with pytest.raises(DataError, match=said):
+        read(path)
 
 
 def test_a_future_file_names_the_version_to_install(tmp_path):
@@ -212,77 +218,40 @@ def test_sizes_are_checked_before_reading(tmp_path):
     write(path, {"big": np.zeros(100_000, dtype=np.uint8)})
     with pytest.raises(DataError, match=r"declares 0\.101 MB of content"):
         read(path, max_bytes=50_000)
-    lying = npy(np.zeros(1)).replace(b"(1,), }       ", b"(99999999,), }")
-    assert lying != npy(np.zeros(1))
-    rewrite(path, {"big.npy": lying})
-    with pytest.raises(DataError, match=r"an array of shape \(99999999,\) in 8 bytes"):
-        read(path)
 
 
-def test_pickles_are_never_read(tmp_path):
-    path = tmp_path / "x.npz"
-    write(path)
-    rewrite(path, {"depth_mm.npy": npy(np.array([{"a": 1}], dtype=object))})
-    with pytest.raises(DataError, match="pickled objects"):
-        read(path)
-
-
-@pytest.mark.parametrize("number", ["1e400", "-1e400", "NaN"])
-def test_settings_that_are_not_finite_are_refused(tmp_path, number):
-    path = tmp_path / "x.npz"
-    write(path)
-    said = json.dumps({"format": KIND, "format_version": 1, "digest": ""})
-    rewrite(path, {"meta.npy": npy(np.array(said[:-1] + f', "size": {number}}}'))})
-    with pytest.raises(DataError, match="finite numbers in the settings"):
-        read(path)
-
-
-def test_other_files_are_refused_with_what_they_are(tmp_path):
-    write(tmp_path / "x.npz")
-    with pytest.raises(CalibrationError, match="Expected a gelform calibration, got a gelform test file"):
-        read(tmp_path / "x.npz", kind="gelform calibration", error=CalibrationError)
-    np.savez(tmp_path / "plain.npz", a=np.zeros(3))
-    with pytest.raises(DataError, match="no member 'meta'"):
-        read(tmp_path / "plain.npz")
-    (tmp_path / "text.npz").write_text("hello")
-    with pytest.raises(DataError, match="no gelform test file at all"):
-        read(tmp_path / "text.npz")
-    with pytest.raises(DataError, match="No file"):
-        read(tmp_path / "missing.npz")
-
-
-def test_a_file_says_what_it_is(tmp_path):
+def test_a_file_says_what_it_is_and_others_are_refused(tmp_path):
     write(tmp_path / "x.npz")
     np.savez(tmp_path / "plain.npz", a=np.zeros(3))
     (tmp_path / "text.npz").write_text("hello")
     assert kind_of_npz(tmp_path / "x.npz") == KIND
-    for name in ("plain.npz", "text.npz", "missing.npz"):
+    with pytest.raises(CalibrationError, match="Expected a gelform calibration, got a gelform test file"):
+        read(tmp_path / "x.npz", kind="gelform calibration", error=CalibrationError)
+    for name, said in (
+        ("plain.npz", "no member 'meta'"),
+        ("text.npz", "no gelform test file at all"),
+        ("missing.npz", "No file"),
+    ):
         assert kind_of_npz(tmp_path / name) is None
+        with pytest.raises(DataError, match=said):
+            read(tmp_path / name)
 
 
-def test_an_existing_file_stays_unless_overwritten(tmp_path):
+def test_an_existing_file_stays_unless_overwritten_and_a_failed_write_leaves_nothing_behind(tmp_path):
     path = tmp_path / "x.npz"
     path.write_text("mine")
     with pytest.raises(DataError, match=r"already there.*overwrite=True"):
         write(path)
-    assert path.read_text() == "mine"
-    write(path, overwrite=True)
-    assert read(path)
-
-
-def test_a_failed_write_leaves_nothing_behind(tmp_path):
-    path = tmp_path / "x.npz"
-    path.write_text("mine")
     with pytest.raises(KeyError), written_file(path, overwrite=True) as handle:
         handle.write(b"half" + {}["the other half"])
     assert path.read_text() == "mine"
     assert [entry.name for entry in tmp_path.iterdir()] == ["x.npz"]
+    write(path, overwrite=True)
+    assert read(path)
 
 
 def test_a_full_disk_is_said_and_leaves_nothing(tmp_path):
-    resource = pytest.importorskip(
-        "resource", reason="needs a limit on the size of files, which stands for a full disk"
-    )
+    resource = pytest.importorskip("resource", reason="a limit on the size of files stands for a full disk")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, hard))
     try:
@@ -325,34 +294,29 @@ def test_bytes_are_those_of_a_file_but_for_the_digest(tmp_path):
 
 
 def aged(path):
-    """A path as it was left an hour ago."""
+    """Make a path as it was left an hour ago."""
     os.utime(path, (time.time() - 3600,) * 2)
-    return path
 
 
 def test_what_killed_runs_left_is_swept_and_nothing_else(tmp_path):
     pytest.importorskip("fcntl")
-    names = (
-        ".gelform-0123456789ab.tmp",
-        ".gelform-mine.tmp",
-        "gelform-0123456789ab.tmp",
-        ".gelform-0123456789ac.tmp",
+    left, first, second, young = (
+        tmp_path / f"{name}.tmp"
+        for name in (
+            ".gelform-0123456789ab",
+            ".gelform-mine",
+            "gelform-0123456789ab",
+            ".gelform-0123456789ac",
+        )
     )
-    left, first, second, young = (tmp_path / name for name in names)
-    for path in (left, first, second):
+    for path in (left, first, second, young):
         path.write_text("x")
-        aged(path)
-    young.write_text("x")
-    aged_folder = tmp_path / ".out.partial-abcd_012"
-    folders = [
-        aged_folder,
-        tmp_path / ".out.partial-77",
-        tmp_path / ".other.partial-abcd_012",
-        tmp_path / ".out.partial-mine",
-    ]
+    targets = (".out.partial-abcd_012", ".out.partial-77", ".other.partial-abcd_012", ".out.partial-mine")
+    folders = [tmp_path / name for name in targets]
     for folder in folders:
         (folder / "images").mkdir(parents=True)
-        aged(folder)
+    for path in (left, first, second, *folders):
+        aged(path)
     with written_file(tmp_path / "new.npz") as handle:
         (held,) = set(tmp_path.glob(".gelform-*.tmp")) - {left, first, young}
         handle.flush()
