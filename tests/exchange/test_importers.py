@@ -3,7 +3,6 @@
 Imported networks give their own packages' answers, with gelform's signs; what they do not state stays unknown.
 """
 
-import io
 import pickle
 import sys
 import zipfile
@@ -32,9 +31,10 @@ from gelform.image.view import image_from_frame
 from gelform.sensors.profiles import PROFILES
 from gelform.simulate import Ball, Pose
 from gelform.simulate.press import Twin
+from gelform.slopes.color_models.networks import Layers
 from gelform.slopes.color_models.tables import LookupModel
 from hostile.files import odd_archives
-from made.files import network_arrays, taxim_arrays, torch_file, web_file
+from made.files import in_numpy, network_arrays, torch_file, web_file
 from made.images import SHAPE
 
 FLAT = np.full((*SHAPE, 3), 100, dtype=np.float32)
@@ -252,16 +252,15 @@ def test_what_is_no_table_is_said(tmp_path, monkeypatch):
     np.save(tmp_path / "array.npy", np.zeros(3))
     with pytest.raises(DataError, match="No file"):
         read_taxim_forward(tmp_path / "none.npz")
-    whole = io.BytesIO()
-    np.savez(whole, **taxim_arrays(8))
-    (tmp_path / "large.npz").write_bytes(odd_archives(whole.getvalue())[0])
-    (tmp_path / "cut.npz").write_bytes(whole.getvalue()[:-100])
+    small = {name: np.zeros((8, 8, 6)) for name in ("grad_r", "grad_g", "grad_b")}
+    whole = save(tmp_path / "whole.npz", bins=8, **small).read_bytes()
+    (tmp_path / "large.npz").write_bytes(odd_archives(whole)[0])
+    (tmp_path / "cut.npz").write_bytes(whole[:-100])
     for name in ("text.npz", "array.npy", "cut.npz", "large.npz"):
         assert name == "large.npz" or not is_taxim_forward(tmp_path / name)
         with pytest.raises(DataError, match="damaged"):
             read_taxim_forward(tmp_path / name)
     monkeypatch.setattr("gelform.exchange.importers.MAX_ARRAY_BYTES", 5_000)
-    (tmp_path / "whole.npz").write_bytes(whole.getvalue())
     with pytest.raises(DataError, match=r"of at most 0\.005 MB, got .*whole\.npz of 0\.0\d+ MB"):
         read_taxim_forward(tmp_path / "whole.npz")
 
@@ -299,11 +298,8 @@ def answered(arrays, image, position):
         "yx": (y / CALIBRATED[0], x / CALIBRATED[1]),
         "zeros": (0 * x, 0 * y),
     }
-    values = np.stack([image[..., 2] / 255, image[..., 1] / 255, image[..., 0] / 255, *places[position]], -1)
-    for k in range(1, 5):
-        values = values @ arrays[f"fc{k}.weight"].T.astype(float) + arrays[f"fc{k}.bias"]
-        values = np.maximum(values, 0) if k < 4 else values
-    return values
+    values = np.stack([*np.moveaxis(image[..., ::-1] / 255, -1, 0), *places[position]], -1)
+    return in_numpy(Layers(tuple(arrays.values())[::2], tuple(arrays.values())[1::2]), values)
 
 
 def test_gs_sdk_angles_go_down_where_pressed(tmp_path):
