@@ -6,6 +6,7 @@ Imported networks give their own packages' answers, with gelform's signs; what t
 import pickle
 import sys
 import zipfile
+from collections import OrderedDict
 from importlib.util import find_spec
 from itertools import pairwise
 
@@ -363,9 +364,7 @@ def older_network(torch, kind):
             parts[f"bn{k}"], parts[f"relu{k}"] = norm(n_out), torch.nn.ReLU()
             torch.nn.init.uniform_(parts[f"bn{k}"].weight, 0.5, 2)
             torch.nn.init.uniform_(parts[f"bn{k}"].bias, -0.5, 0.5)
-    network = torch.nn.Sequential()
-    for name, part in parts.items():
-        network.add_module(name, part)
+    network = torch.nn.Sequential(OrderedDict(parts))
     for seed in range(20):
         values = torch.rand((64, 5), generator=torch.Generator().manual_seed(seed))
         network(values[..., None, None] if kind == "conv" else values)

@@ -45,6 +45,7 @@ from made.rigid_contacts import (
 )
 from made.rigid_contacts import CENTER as MIDDLE
 
+pytestmark = pytest.mark.linear_algebra
 STEP = np.array([0.2, -0.1, 0.05, 0.03, -0.06, 0.12])
 CENTER = np.array([1.0, -2.0, 0.5])
 
@@ -192,7 +193,6 @@ def off_by(motion, true):
     return step_of_pose(motion.pose @ np.linalg.inv(true), motion.center_mm)
 
 
-@pytest.mark.linear_algebra
 @pytest.mark.parametrize("name", MOTIONS)
 def test_a_textured_plate_without_errors(name):
     true = pose(**MOTIONS[name])
@@ -203,7 +203,6 @@ def test_a_textured_plate_without_errors(name):
     assert np.degrees(np.abs(off_by(found, true)[3:]).max()) < 0.15
 
 
-@pytest.mark.linear_algebra
 def test_turns_of_a_ball_are_blind_and_named():
     """The ball moves and turns; its center is found, its turn is not, and nobody claims it."""
     true = pose_of_step(np.array([0.3, 0.15, 0, 0.05, -0.05, 0.15]), MIDDLE - (0, 0, BALL_MM))
@@ -222,7 +221,6 @@ def test_turns_of_a_ball_are_blind_and_named():
     assert np.degrees(np.linalg.norm(step_of_pose(found.pose, found.center_mm)[3:])) < 0.5
 
 
-@pytest.mark.linear_algebra
 def test_blind_directions_take_the_prior_alone():
     true = pose_of_step(np.array([0.3, 0.15, 0, 0, 0, 0.1]), MIDDLE - (0, 0, BALL_MM))
     start = pose_of_step(np.array([0.2, 0.1, 0, 0, 0, 0.1]), MIDDLE - (0, 0, BALL_MM))
@@ -232,14 +230,12 @@ def test_blind_directions_take_the_prior_alone():
     assert step_of_pose(found.pose, found.center_mm)[5] == pytest.approx(0.1, abs=0.005)
 
 
-@pytest.mark.linear_algebra
 def test_a_sure_prior_is_kept():
     a, b = contact_of(texture(), seed=1), contact_of(texture(), pose(0.3), seed=2)
     found = gelform.motion_between(a, b, start=pose(0.2), prior=(1e-5, 1e-5))
     np.testing.assert_allclose(found.pose, pose(0.2), atol=1e-3)
 
 
-@pytest.mark.linear_algebra
 def test_a_cylinder_shifts_and_turns_along_its_axis_unseen():
     true = pose(0.1, 0.3)
     found = gelform.motion_between(contact_of(cylinder, seed=1), contact_of(cylinder, true, seed=2))
@@ -251,7 +247,6 @@ def test_a_cylinder_shifts_and_turns_along_its_axis_unseen():
     assert found.pose[0, 3] == pytest.approx(0, abs=0.05), "no motion along the axis is claimed"
 
 
-@pytest.mark.linear_algebra
 def test_a_plate_shows_depth_and_tilts_alone():
     true = pose(0.3, 0.2, 0.05, 1.0, -0.5)
     found = gelform.motion_between(contact_of(plate, seed=1), contact_of(plate, true, seed=2))
@@ -260,7 +255,6 @@ def test_a_plate_shows_depth_and_tilts_alone():
     np.testing.assert_allclose(step[2:5], [0.05, *np.radians([1.0, -0.5])], atol=0.01)
 
 
-@pytest.mark.linear_algebra
 def test_what_fills_the_view_has_no_depth():
     a, b = (contact_of(texture(), one, radius_mm=20, seed=3) for one in (None, pose(0.3, z=0.05)))
     found = gelform.motion_between(a, b)
@@ -271,7 +265,6 @@ def test_what_fills_the_view_has_no_depth():
     assert found.pose[0, 3] == pytest.approx(0.3, abs=0.01)
 
 
-@pytest.mark.linear_algebra
 def test_a_plate_without_any_error_shows_no_more():
     """The equations are singular then, exactly."""
     found = gelform.motion_between(contact_of(plate), contact_of(plate, pose(0.3)))
@@ -306,7 +299,6 @@ DEGENERATE = {
 }
 
 
-@pytest.mark.linear_algebra
 @pytest.mark.parametrize("name", DEGENERATE)
 def test_the_covariance_is_definite_where_residuals_say_nothing(name):
     """So nobody who inverts it meets a singular matrix; rounding may not decide that."""
@@ -317,7 +309,6 @@ def test_the_covariance_is_definite_where_residuals_say_nothing(name):
     assert np.linalg.eigvalsh(unit[:, None] * found.covariance * unit).min() > 1e-10
 
 
-@pytest.mark.linear_algebra
 @pytest.mark.parametrize("kind", ["depth", "gradients"])
 def test_what_no_gel_shows_is_refused(kind):
     one = contact_of(plate)
@@ -325,7 +316,6 @@ def test_what_no_gel_shows_is_refused(kind):
         gelform.motion_between(replace(one, **{kind: getattr(one, kind) + np.float32(1e18)}), one)
 
 
-@pytest.mark.linear_algebra
 def test_unknown_sigmas_count_little():
     """NaN, infinity, or none at all."""
     first, second = contact_of(texture(), seed=1), contact_of(texture(), pose(0.3), seed=2)
@@ -336,7 +326,6 @@ def test_unknown_sigmas_count_little():
         assert gelform.motion_between(unsure, second).pose[0, 3] == pytest.approx(0.3, abs=0.01)
 
 
-@pytest.mark.linear_algebra
 def test_without_a_start_the_middle_of_the_contact_leads():
     true = pose(1.3, -0.9, yaw=3.0)
     found = gelform.motion_between(contact_of(texture(), seed=1), contact_of(texture(), true, seed=2))
@@ -344,7 +333,6 @@ def test_without_a_start_the_middle_of_the_contact_leads():
     assert np.abs(off_by(found, true)).max() < 0.02
 
 
-@pytest.mark.linear_algebra
 def test_slopes_count_as_they_were_read():
     """The solved ones may have a crest at another place."""
     first, second = contact_of(texture(), seed=1), contact_of(texture(), pose(0.3), seed=2)
@@ -354,7 +342,6 @@ def test_slopes_count_as_they_were_read():
     assert found.pose[0, 3] == pytest.approx(0.3, abs=0.01)
 
 
-@pytest.mark.linear_algebra
 def test_an_object_that_hardly_moved_cannot_be_told_from_a_blind_one():
     found = gelform.motion_between(contact_of(texture(), seed=1), contact_of(texture(), pose(0.05), seed=2))
     assert found.state == UNSURE
@@ -378,7 +365,6 @@ REFUSED = {
 }
 
 
-@pytest.mark.linear_algebra
 @pytest.mark.parametrize("why", REFUSED)
 def test_no_motion_is_invented(why):
     second, start = REFUSED[why]
@@ -388,7 +374,6 @@ def test_no_motion_is_invented(why):
     assert re.search(why, found.why), found.why
 
 
-@pytest.mark.linear_algebra
 def test_wrong_arguments_are_errors():
     priors = [{"prior": prior} for prior in [(0.1,), (0.1, 0), (1e-300, 0.1), (0.1, 1e9)]]
     for wrong in (*priors, {"start": np.zeros((4, 4))}, {"place_error": -1}):
@@ -396,7 +381,6 @@ def test_wrong_arguments_are_errors():
             gelform.motion_between(touch(), touch(), **wrong)
 
 
-@pytest.mark.linear_algebra
 def test_the_pose_is_that_of_the_simulator(sensor, calibration):
     """Axes and signs, through images: x to the right, y down, yaw clockwise in the image."""
     from gelform.simulate import HeightMap, Pose, simulate_pose
@@ -426,7 +410,6 @@ def covariance_of(first, at, mm, directions=6):
     return pose_covariance(first, at, inverse, mm)
 
 
-@pytest.mark.linear_algebra
 def test_the_place_adds_to_x_and_y_and_to_turns_over_the_contact(fitted):
     plain, placed = (covariance_of(*fitted, mm) for mm in (0.0, 0.1))
     away = fitted[0].points - fitted[0].middle
@@ -438,7 +421,6 @@ def test_the_place_adds_to_x_and_y_and_to_turns_over_the_contact(fitted):
     assert unseen[0, 0] > 0
 
 
-@pytest.mark.linear_algebra
 def test_what_all_slopes_have_in_common(fitted):
     """Without other errors the covariance is that of slopes off by 0.003, and too steep by 2 %, along each axis."""
     first, at = fitted
@@ -454,7 +436,6 @@ def test_what_all_slopes_have_in_common(fitted):
     np.testing.assert_allclose(covariance_of(first, sure, 0.0), wanted, rtol=1e-3, atol=1e-12)
 
 
-@pytest.mark.linear_algebra
 @pytest.mark.parametrize("shift", [(0.08, 0), (0, -0.12), (0.06, 0.06)])
 def test_what_stays_at_its_place_pulls_the_object_back(shift):
     """The same errors in both frames match best without a motion, so residuals do not show them; the covariance does."""
@@ -479,7 +460,6 @@ def blind_of(face, seeds=(1, 2), **fields):
     return blind_directions(first, first.equations(second, pose(0.3, 0.1)))
 
 
-@pytest.mark.linear_algebra
 @pytest.mark.slow
 def test_all_turns_of_a_ball_are_blind_and_no_texture_is():
     values = [one.correlation for seed in range(8) for one in blind_of(ball, (seed, seed + 50))[0]]
@@ -487,7 +467,6 @@ def test_all_turns_of_a_ball_are_blind_and_no_texture_is():
     assert not any(blind_of(texture(seed), (seed, seed + 50))[0] for seed in range(8))
 
 
-@pytest.mark.linear_algebra
 def test_the_same_errors_in_both_frames_look_like_shape():
     """That is why an object has to move: the test could not tell otherwise."""
     first = TouchedSurface(contact_of(cylinder, seed=1))
@@ -503,7 +482,6 @@ def oval(x, y):
     return -(x**2) / 6 - y**2 / 10
 
 
-@pytest.mark.linear_algebra
 def test_shape_counts_from_the_error_that_slopes_may_carry():
     """An oval rolls unseen at most, unless its slopes may be as wrong as they would be of a ball."""
     assert not any("ball" in one.words or "about z" in one.words for one in blind_of(oval)[0])
@@ -518,7 +496,6 @@ def edge(x, y):
     return -0.4 * np.abs(y - 0.1 * x)
 
 
-@pytest.mark.linear_algebra
 def test_a_blind_shift_turns_nothing():
     """Its least turn, times a prior of 10 mm, would make a yaw look uncertain that is seen."""
     for seeds in ((1, 2), (3, 4), (5, 6)):
@@ -530,7 +507,6 @@ def test_a_blind_shift_turns_nothing():
         assert np.linalg.matrix_rank(seen[3:]) == 3, "all turns are seen"
 
 
-@pytest.mark.linear_algebra
 def test_the_other_directions_are_seen():
     """Free motions of a ball are shifts; those of a cylinder do not roll, and do not shift along it."""
     blind, seen = blind_of(ball)

@@ -13,6 +13,7 @@ import pytest
 
 from gelform.cli import main
 from gelform.errors import DataError
+from gelform.sensors.films import open_film
 from gelform.sensors.mcap import (
     SAMPLED_RECORDS,
     Channel,
@@ -112,6 +113,8 @@ def test_pictures_that_are_none_or_several_are_not_guessed_among(tmp_path):
     for k, (topics, how, said) in enumerate(NO_TOPIC):
         with pytest.raises(DataError, match=said):
             picture_topic_of(image_file(tmp_path / f"{k}.mcap", topics, **how))
+    with pytest.raises(DataError, match="holds no frame"):
+        open_film(image_file(tmp_path / "none.mcap", {"/image": []}, **COMPRESSED), scan=True)
 
 
 FIRST_CHUNK_END = 14000  # bytes: a frame of noise takes 9.3 kB

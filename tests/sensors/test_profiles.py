@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -34,6 +33,7 @@ from gelform.sensors.simulated import (
 )
 from gelform.simulate import LAYOUTS, simulate_background, simulate_pose
 from live_waiting import until
+from made.sources import SMALL
 
 
 def test_every_profile_gives_its_image_from_frames_of_any_size_by_a_cut():
@@ -204,7 +204,6 @@ def test_without_a_base_leds_are_needed_and_without_a_known_name_the_nearest_is_
         simulated_sensor_named("digitt")
 
 
-SMALL = replace(LAYOUTS["three-edges"], shape=(48, 64), mm_per_px=0.3)
 UNTOUCHED = simulate_background(SMALL, None).astype(float)
 
 

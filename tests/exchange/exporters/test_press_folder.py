@@ -33,6 +33,7 @@ from gelform.exchange.exporters.press_folder import (
 from gelform.sensors import read_sensor_toml, sensor_from_settings
 from gelform.sensors.files import SensorSettings
 from gelform.simulate import LAYOUTS, Coating, Coin, Twin, simulate_ball_presses, simulate_press
+from made.sources import SMALL
 
 
 def test_a_folder_that_holds_something_or_cannot_be_written_is_refused(tmp_path):
@@ -86,7 +87,7 @@ def test_images_are_rgb_and_rounded_tables_have_a_header_and_names_are_any(tmp_p
         assert said == {"name": name, "mm_per_px": 0.3, **serial}
 
 
-QUOTED = replace(LAYOUTS["three-edges"], shape=(48, 64), mm_per_px=0.3, name='a "quoted" name')
+QUOTED = replace(SMALL, name='a "quoted" name')
 ARGUMENTS = {
     "background": np.zeros((8, 9, 3), np.uint8),
     "images": [np.zeros((8, 9, 3), np.uint8)],
