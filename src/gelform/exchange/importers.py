@@ -233,19 +233,12 @@ class TaximLook:
 
     The tables were fitted inside contacts, where level gel has another color than at rest. Their color of level gel is
     therefore faded in over the first 0.1 mm of depth. Gel at rest keeps its background.
-
-    Attributes
-    ----------
-    tables : from `read_taxim_forward`
-    background : (H, W, 3) float32, 4:3 as the tables, oriented as the images of their calibration
-    mm_per_px : of this image; the tables contain no scale
-    noise : (3,) gray levels
     """
 
     tables: TaximTables
-    background: Map
-    mm_per_px: float
-    noise: Numbers
+    background: Map  # (H, W, 3) float32, 4:3 as the tables, oriented as the images of their calibration
+    mm_per_px: float  # of this image; the tables contain no scale
+    noise: Numbers  # (3,) gray levels
 
     def __post_init__(self) -> None:
         check_positive(self.mm_per_px, "mm_per_px")

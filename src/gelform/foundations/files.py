@@ -311,24 +311,13 @@ def write_npz(
     overwrite: bool = False,
     error: type[GelformError] = DataError,
 ) -> None:
-    """Write arrays and settings to one `.npz` without pickles, completely or not at all.
+    """Write named arrays of numbers, booleans or text, and settings, to one `.npz` without pickles: whole or not at all.
 
-    Parameters
-    ----------
-    arrays : name -> array of numbers, booleans or text
-    meta : JSON-able settings; kept in the member `meta` beside `format` (the kind), `format_version`,
-        `gelform_version` and a `digest` (SHA-256) over the arrays and the settings
-    kind : kind of the file, such as "gelform calibration"
-    version : of the format of this kind, from 1
-    overwrite : whether an existing file is replaced
-    error : class of the error that is raised if the file cannot be written
+    The settings are in the member `meta`, as JSON, beside `format` (the kind, such as "gelform calibration"),
+    `format_version` (from 1), `gelform_version` and a `digest` (SHA-256) over arrays and settings.
 
-    Raises
-    ------
-    error
-        See `written_file`.
-    ValueError, TypeError
-        Settings that JSON cannot hold (NaN included), an array of objects, or a reserved name.
+    error: as `written_file`. ValueError, TypeError: settings that JSON cannot hold (NaN included), an array of objects, or a
+    reserved name.
     """
     members = _members_to_write(arrays, meta, kind, version)
     with written_file(path, overwrite=overwrite, error=error) as handle:
@@ -371,20 +360,11 @@ def read_npz(
 ) -> tuple[dict[str, Array], dict[str, Any]]:
     """Read a file of `write_npz`: the arrays by name and the settings, after every check.
 
-    The sizes that the file declares are checked before anything is read; nothing is unpickled.
+    The sizes that the file declares are checked before anything is read, against `max_bytes` for all members together;
+    nothing is unpickled. The caller converts formats older than `newest_version`.
 
-    Parameters
-    ----------
-    kind : the required kind of the file
-    newest_version : the newest format version that the caller reads; older ones are the caller's to convert
-    max_bytes : largest size of all members together
-    error : class of the error that is raised if the file cannot be used
-
-    Raises
-    ------
-    error
-        The file is missing, no file of this kind, truncated, altered, too large, or of a newer format (the
-        message names the version of gelform to install).
+    error: the file is missing, no file of this kind, truncated, altered, too large, or of a newer format (the message names
+    the version of gelform to install).
     """
     path = check_path(path)
     if not path.is_file():

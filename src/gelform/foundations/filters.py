@@ -78,25 +78,13 @@ SWEEP_PAIRS = 4
 
 
 def fill_unknown(values: ArrayLike, known: ArrayLike) -> Map:
-    """Replace unknown pixels of a map by a smooth surface through their neighbors.
+    """Replace unknown pixels of a map (H, W, C), such as gradients, by a smooth surface through their neighbors.
 
     Unknown pixels start from the next coarser level of a pyramid of averages of known pixels. They are then
     relaxed toward the mean of their four neighbors (a membrane, which continues planes). Their own values
-    have no influence; known pixels stay unchanged. The fill of a flipped map is the flipped fill, but for rounding.
+    have no influence; known pixels (H, W) stay unchanged. The fill of a flipped map is the flipped fill, but for rounding.
 
-    Parameters
-    ----------
-    values : (H, W, C), such as gradients
-    known : (H, W) bool, at least one True
-
-    Returns
-    -------
-    filled : (H, W, C) float32
-
-    Raises
-    ------
-    ValueError, TypeError
-        Values of another shape or not finite, or a mask that is not boolean or has no known pixel.
+    ValueError, TypeError: values of another shape or not finite, or a mask that is not boolean or has no known pixel.
     """
     array = check_values(values, "values")
     if array.ndim != 3:

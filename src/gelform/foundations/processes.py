@@ -33,17 +33,10 @@ def worker_processes(
 ) -> Iterator[ProcessPoolExecutor]:
     """A pool of new processes with one thread of OpenCV each; an exception in the block cancels all pending work.
 
-    Parameters
-    ----------
-    count : number of processes
-    prepare : called first with `args` in each of them; keep args small: a pipe holds 64 kB, and starting a process that is
-        killed before it reads the rest would never end
-    kept : a sentence for the error about the work that is already done
+    Each first calls `prepare` with `args`. Keep args small: a pipe holds 64 kB, and starting a process that is killed before
+    it reads the rest would never end.
 
-    Raises
-    ------
-    WorkerLostError
-        A worker was killed.
+    WorkerLostError: a worker was killed; `kept` is a sentence for it about the work that is already done.
     """
     context = _Recorded()
     lost, lose = context.Pipe(duplex=False)
