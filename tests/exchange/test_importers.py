@@ -440,7 +440,7 @@ def test_no_code_of_a_file_runs(tmp_path):
             lambda: zipped(**{"constants.pkl": b"\x80\x02)."}),
             r"Expected weights of torch\.save",
         ),  # TorchScript
-        (lambda: zipped(**{"data/0": bytes(5 * 2**20)}), r"declares 5\.24 MB"),
+        (lambda: zipped(**{"data/0": bytes(5 * 2**20)}), r"declares 5\.243 MB"),
     ):
         write()
         with pytest.raises(gelform.DataError, match=said):

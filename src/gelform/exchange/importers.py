@@ -12,7 +12,6 @@ from __future__ import annotations
 import pickletools
 import re
 import zlib
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -46,14 +45,14 @@ from gelform.foundations.files import (
     MAX_ARRAY_BYTES,
     bytes_of,
     checked_archive,
+    names_in,
     present_file,
     read_npy,
 )
 from gelform.image.background import ChangeSettings, noise_from_image
 from gelform.sensors.profiles import SENSORS, check_gel_width, make_of, view_from_camera
-from gelform.slopes.color_models import ColorModel, NetworkModel
+from gelform.slopes.color_models import ColorModel, LookupModel, NetworkModel
 from gelform.slopes.color_models.networks import Layers
-from gelform.slopes.color_models.tables import LookupModel
 
 RANGE_LEVELS = (-90.0, 90.0)  # gray levels, the usual range of differences in a look-up table without one
 MOST_LEVELS = 1024.0  # gray levels, the widest range of differences
@@ -397,21 +396,15 @@ def _state_dict(path: Path) -> dict[str, Any]:
         )
     try:
         with ZipFile(path) as archive:
-            members = Counter(name.split("/")[-1] for name in archive.namelist())
-            declared = sum(member.file_size for member in archive.infolist())
-            pickles = [name for name in archive.namelist() if name.split("/")[-1] == "data.pkl"]
-            pickled = archive.read(pickles[0]) if len(pickles) == 1 and declared <= MAX_BYTES else b""
+            members = names_in(archive, path, "a network that gelform reads", MAX_BYTES)
+            ends = [name.split("/")[-1] for name in members]
+            pickles = [archive.read(name) for name, end in zip(members, ends) if end == "data.pkl"]
     except (OSError, *DAMAGED_ARCHIVE) as problem:
         raise DataError(f"{path} is truncated or damaged: {said(problem)}. Copy it again.") from problem
-    if start != b"PK\x03\x04" or members["data.pkl"] != 1 or members["constants.pkl"]:
+    if start != b"PK\x03\x04" or len(pickles) != 1 or "constants.pkl" in ends:
         raise DataError(f"Expected weights of torch.save, a zip with data.pkl in it, got {path}.")
-    if declared > MAX_BYTES:
-        raise DataError(
-            f"{path} declares {declared / 1e6:.3g} MB; networks that gelform reads have at most "
-            f"{MAX_BYTES >> 20} MB. It is damaged or another network."
-        )
     try:
-        _check_pickle(pickled)
+        _check_pickle(pickles[0])
         torch = needed("torch", "torch", "A network saved by torch")
         content = torch.load(path, map_location="cpu", weights_only=True)
     except UnpicklingError as problem:

@@ -339,7 +339,10 @@ def _members_to_write(
 ) -> dict[str, Array]:
     from gelform import __version__
 
-    prepared = {name: _storable(name, values) for name, values in arrays.items()}
+    prepared = {name: np.asarray(values) for name, values in arrays.items()}
+    for name, array in prepared.items():
+        if array.dtype.hasobject:
+            raise TypeError(f"Expected {name} as numbers, booleans or text, got an array of objects.")
     clashes = [name for name in _RESERVED if name in meta] + (["meta"] if "meta" in arrays else [])
     if clashes:
         raise ValueError(f"Expected other names than the reserved {', '.join(clashes)}.")
@@ -374,7 +377,10 @@ def read_npz(
             with path.open("rb") as file:
                 is_picture = file.read(4).startswith(PICTURE_STARTS)
             with zipfile.ZipFile(path) as archive:
-                arrays = _members(archive, path, kind, max_bytes, error)
+                names = names_in(archive, path, f"a {kind}", max_bytes, error)
+                if "meta.npy" not in names:
+                    raise error(f"{path} is no {kind}: it has no member 'meta'.")
+                arrays = {name.removesuffix(".npy"): _array(archive.read(name)) for name in names}
         meta = json.loads(str(arrays.pop("meta")[()]))
         _json(meta)
     except _UNREADABLE as problem:
@@ -419,12 +425,23 @@ def checked_archive(path: str | os.PathLike[str], what: str, max_bytes: int = MA
     DataError: the file is missing, too large, or declares more. The errors of zipfile: it is no archive.
     """
     with zipfile.ZipFile(present_file(path, what, max_bytes)) as archive:
-        members = archive.infolist()
-    if (declared := sum(member.file_size for member in members)) > max_bytes:
-        raise DataError(
-            f"{path} declares {declared / 1e6:.4g} MB; {what} has at most {max_bytes / 1e6:.4g} MB."
+        return names_in(archive, path, what, max_bytes)
+
+
+def names_in(
+    archive: zipfile.ZipFile,
+    path: str | os.PathLike[str],
+    what: str,
+    max_bytes: int,
+    error: type[GelformError] = DataError,
+) -> list[str]:
+    """As `checked_archive`, of an open one."""
+    if (declared := sum(member.file_size for member in archive.infolist())) > max_bytes:
+        raise error(
+            f"{path} declares {declared / 1e6:.4g} MB; {what} has at most {max_bytes / 1e6:.4g} MB. It is damaged, or "
+            "another file."
         )
-    return [member.filename for member in members]
+    return archive.namelist()
 
 
 @contextmanager
@@ -476,22 +493,6 @@ def _write_members(handle: BinaryIO, members: Mapping[str, Array]) -> None:
                 np.lib.format.write_array(member, array, allow_pickle=False)
 
 
-def _members(
-    archive: zipfile.ZipFile, path: Path, kind: str, max_bytes: int, error: type[GelformError]
-) -> dict[str, Array]:
-    declared = sum(member.file_size for member in archive.infolist())
-    if declared > max_bytes:
-        raise error(
-            f"{path} declares {declared / 1e6:.3g} MB of content; a {kind} has at most "
-            f"{max_bytes / 1e6:.3g} MB. It is damaged or no such file."
-        )
-    if "meta.npy" not in archive.namelist():
-        raise error(f"{path} is no {kind}: it has no member 'meta'.")
-    return {
-        member.filename.removesuffix(".npy"): _array(archive.read(member)) for member in archive.infolist()
-    }
-
-
 _READ_HEADER = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
@@ -525,13 +526,6 @@ def _check_meta(meta: Any, path: Path, kind: str, newest_version: int, error: ty
             f"{path} has format version {version}, written by gelform {writer}; this gelform reads up to "
             f"version {newest_version}. Install that release or a newer one: pip install 'gelform>={writer}'."
         )
-
-
-def _storable(name: str, values: Array) -> Array:
-    array = np.asarray(values)
-    if array.dtype.hasobject:
-        raise TypeError(f"Expected {name} as numbers, booleans or text, got an array of objects.")
-    return array
 
 
 def _json(meta: Mapping[str, Any]) -> str:

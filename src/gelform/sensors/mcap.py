@@ -490,7 +490,9 @@ class Recording(Film):
         camera, self._topic = picture_topic_of(self._file)
         super().__init__(path, camera)
         self._channels: set[int] = set()
-        self._messages_at = lru_cache(maxsize=2)(self._messages_of)
+        self._messages_at = lru_cache(maxsize=2)(
+            lambda offset: list(self._wanted(next(records_from(self._file, offset))[1]))
+        )
 
     def _read(self) -> Iterator[Frame]:
         first_ns: int | None = None
@@ -531,9 +533,6 @@ class Recording(Film):
         encoded = content if content.startswith(b"\xff\xd8") else None
         image = image_from_encoded(content, reduction_in(self.camera.settings), where)
         return Frame(image, time_s, time_ns_of(picture), index, encoded)
-
-    def _messages_of(self, offset: int) -> list[Any]:
-        return list(self._wanted(next(records_from(self._file, offset))[1]))
 
     def _wanted(self, inside: list[Any]) -> Iterator[Any]:
         """The topic's messages among records; also notes the numbers of its channels."""

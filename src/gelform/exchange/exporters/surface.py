@@ -202,15 +202,10 @@ def _stl(result: Reconstruction) -> bytes:
     )
 
 
-def _tiff(result: Reconstruction) -> bytes:
-    return picture_bytes(result.depth_mm, ".tiff")
-
-
 SURFACES: dict[str, Callable[[Reconstruction], bytes]] = {
     ".ply": _ply,
     ".stl": _stl,
-    ".tiff": _tiff,
-    ".tif": _tiff,
+    **dict.fromkeys((".tiff", ".tif"), lambda result: picture_bytes(result.depth_mm, ".tiff")),
     ".png": lambda result: picture_bytes(levels_from_depth(result.depth_mm, result.known), ".png"),
     ".x3p": x3p_bytes,
 }

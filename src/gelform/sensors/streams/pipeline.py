@@ -187,7 +187,8 @@ class Pipeline(Generic[Value]):
         self._captured_s = -inf  # of the newest result
         stages = {"reconstruct": self._reconstruct}
         if not feed.every:
-            sequence.run_by(self._ask)
+            # Only the newest one is made, if they come too fast.
+            sequence.run_by(lambda check: self._checks.put(self._checks.number + 1, check))
             stages |= {"learn": self._learn, "examine": self._examine}
         self._threads = [
             Thread(target=self._stage, args=(work,), name=f"gelform {name}", daemon=True)
@@ -288,10 +289,6 @@ class Pipeline(Generic[Value]):
         for given in self._to_learn:
             with self.timed("learn"):
                 self.sequence.learn_from(given)
-
-    def _ask(self, check: Work) -> None:
-        """Have a thread make a check; only the newest one, if they come too fast."""
-        self._checks.put(self._checks.number + 1, check)
 
     def _examine(self) -> None:
         for check in self._checks:
