@@ -171,6 +171,17 @@ def recorded(path, given, facts=None, attached=None):
     return path
 
 
+def video_file(path, images, rate_hz=25.0):
+    """The path, after RGB images were written there as a video."""
+    height, width = images[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), rate_hz, (width, height))
+    assert writer.isOpened()
+    for image in images:
+        writer.write(np.ascontiguousarray(image[..., ::-1]))
+    writer.release()
+    return path
+
+
 def camera(count=6, **how):
     """A function that opens a source of those frames, at their pace."""
     return lambda: Playback(frames(count, **how), FACTS, paced=True)

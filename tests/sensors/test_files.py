@@ -29,6 +29,7 @@ from gelform.sensors.films import Video, open_film
 from gelform.sensors.pictures import begin_tiff_at, tiff_pages
 from gelform.sensors.source import open_source
 from gelform.simulate import simulate_background
+from made.sources import video_file
 
 FAULTS = {
     "nested": (b"a = " + b"[" * 20_000 + b"]" * 20_000, "holds tables inside tables beyond reason"),
@@ -71,15 +72,10 @@ def test_every_command_that_reads_one_says_it(tmp_path, capsys, monkeypatch, fau
 @pytest.fixture
 def odd_name(tmp_path):
     """A video that can be decoded, under a name of bytes that are no UTF-8."""
-    path = tmp_path / "presses.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25, (80, 64))
-    for _ in range(3):
-        writer.write(np.full((64, 80, 3), 100, np.uint8))
-    writer.release()
+    path = video_file(tmp_path / "presses.avi", [np.full((64, 80, 3), 100, np.uint8)] * 3)
     assert len(list(Video(path))) == 3
-    odd = tmp_path / os.fsdecode(b"presses \xff.avi")
     try:
-        return path.rename(odd)
+        return path.rename(tmp_path / os.fsdecode(b"presses \xff.avi"))
     except OSError:
         pytest.skip("this file system has names in UTF-8 alone")
 
