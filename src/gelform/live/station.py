@@ -170,7 +170,7 @@ class Station:
         self._first: tuple[Opening, Setup] | None = None  # while another source is shown
         self._grabber: Grabber | None = None
         self._pipeline: Pipeline[Shown] | None = None
-        self._examine: Callable[[Work], None] = lambda work: work()
+        self.examine: Callable[[Work], None] = lambda work: work()  # makes slow work of this and later setups
         self._missing = ""
         self._stop, self._switched = threading.Event(), threading.Event()
         self._serial, self._begun_s = 0, -math.inf
@@ -199,7 +199,7 @@ class Station:
         if (memory := setup.memory) is not None:
             calibration = memory.reconstruct.calibration
             memory.standing = lambda: camera_findings(calibration, self.grabber)
-            memory.run_by(lambda work: self._examine(work))
+            memory.examine = lambda work: self.examine(work)
         self._setup = setup
         self.show_again()
 
@@ -402,10 +402,6 @@ class Station:
         for tap in tuple(self.taps):
             tap(shown)
         self._on_shown()
-
-    def run_by(self, examine: Callable[[Work], None]) -> None:
-        """Run slow work of this and later setups elsewhere."""
-        self._examine = examine
 
     def reconstructed(self, frame: Frame, timed: Timed) -> Shown:
         """The setup's result of a frame; if reconstruction fails, the frame and the reason."""

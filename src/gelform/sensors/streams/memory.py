@@ -130,7 +130,9 @@ class Memory:
         self.reconstruct, self.standing = reconstruct, standing  # for the coming frames
         # Its depth counts as 0: `zero_from_results`; None: the gel at rest.
         self.zero: Reconstruction | None = None
-        self._examine: Callable[[Work], None] = lambda work: work()
+        self.examine: Callable[[Work], None] = lambda work: (
+            work()
+        )  # makes slow work; another may make it elsewhere
         self._frozen, self._examination = Frozen(), Examination()
         self._examined: DriftEvidence | None = None
         self._light: tuple[Finding, ...] = ()
@@ -138,10 +140,6 @@ class Memory:
         self._markers = MarkerTracker(reconstruct.markers)
         self._drift = BackgroundDrift(reconstruct.background, reconstruct.calibration.background)
         self._smoothing = None if smoothing is None else Smoothing(smoothing)
-
-    def run_by(self, examine: Callable[[Work], None]) -> None:
-        """Run slow work elsewhere: `examine` receives it."""
-        self._examine = examine
 
     def take_background(self) -> None:
         """Take the mean of the next second as background, because nothing touches now. May be called from any thread.
@@ -228,7 +226,7 @@ class Memory:
             self._light = light_findings(self._drift.gains)
         if self._drift.evidence is not self._examined:
             self._examined = self._drift.evidence
-            self._examine(self._examine_evidence)
+            self.examine(self._examine_evidence)
 
     def _examine_evidence(self) -> None:
         if (evidence := self._examined) is not None:

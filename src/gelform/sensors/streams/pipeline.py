@@ -155,14 +155,13 @@ class StreamStats:
 class RunningSequence(Protocol[Value]):
     """Makes results from frames, in order: a `Memory`, or a sensor of the live page."""
 
+    examine: Callable[[Work], None]  # makes slow work; the pipeline makes it elsewhere
+
     def reconstructed(self, frame: Frame, timed: Timed) -> Value:
         """The result of a frame; `timed(stage)` times a block."""
 
     def learn_from(self, given: Value) -> None:
         """Learn for the coming frames, after the result was given out."""
-
-    def run_by(self, examine: Callable[[Work], None]) -> None:
-        """Run slow work elsewhere."""
 
 
 class Pipeline(Generic[Value]):
@@ -188,7 +187,7 @@ class Pipeline(Generic[Value]):
         stages = {"reconstruct": self._reconstruct}
         if not feed.every:
             # Only the newest one is made, if they come too fast.
-            sequence.run_by(lambda check: self._checks.put(self._checks.number + 1, check))
+            sequence.examine = lambda check: self._checks.put(self._checks.number + 1, check)
             stages |= {"learn": self._learn, "examine": self._examine}
         self._threads = [
             Thread(target=self._stage, args=(work,), name=f"gelform {name}", daemon=True)

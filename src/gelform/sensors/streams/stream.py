@@ -118,7 +118,7 @@ class UntouchedFirst:
         self._held: deque[Frame] = deque()
         self._after = -1
         self._memory: Memory | None = None
-        self._examine: Callable[[Work], None] | None = None
+        self.examine: Callable[[Work], None] = lambda work: work()
 
     @property
     def state(self) -> str:
@@ -162,10 +162,8 @@ class UntouchedFirst:
         image = self._untouched.mean() if ready else None
         if image is not None:
             made = self._starter.for_unit(image, view=self._untouched.view, serial=self.camera.serial)
-            memory = self._memory_of(Reconstructor(made))
-            if self._examine is not None:
-                memory.run_by(self._examine)
-            self._memory = memory
+            self._memory = self._memory_of(Reconstructor(made))
+            self._memory.examine = self.examine
         elif self.every or self._feed.state == "ended":
             raise CalibrationError(
                 f"Expected the gel at rest in the first frames, to make a calibration of the {self._starter.make} from it. "
@@ -182,9 +180,6 @@ class UntouchedFirst:
     @property
     def reconstruct(self) -> Reconstructor:
         return self.memory.reconstruct
-
-    def run_by(self, examine: Callable[[Work], None]) -> None:
-        self._examine = examine
 
     def reconstructed(self, frame: Frame, timed: Timed) -> StreamFrame:
         return self.memory.reconstructed(frame, timed)
