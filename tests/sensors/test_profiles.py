@@ -64,7 +64,6 @@ def test_frames_of_the_image_size_turned_and_of_another_aspect():
 
 def test_scales_carry_their_doubt_and_lights_an_order_and_unknown_profiles_name_the_known_ones():
     assert profile_named("gelsight-mini").mm_per_px == 0.0634
-    assert not profile_named("digit").verified
     assert all(0 < profile.mm_per_px_sigma < profile.mm_per_px / 10 for profile in PROFILES.values())
     with pytest.raises(SensorError, match="gelsight-mini, digit, got 'gelsight'"):
         profile_named("gelsight")

@@ -176,21 +176,21 @@ def is_stack(path: Path) -> bool:
         return False  # reading it says why
 
 
-def images_of_stack(path: Path, most_pixels: float = MAX_PIXELS) -> tuple[Callable[[int], Image], int]:
+def images_of_stack(path: Path) -> tuple[Callable[[int], Image], int]:
     """(number -> image, for one thread at a time, and number of images) of a file as in `is_stack`.
 
     Errors as in `read_image`.
     """
     if is_npy(path):
-        values = npy_values(path, most_pixels)
+        values = npy_values(path)
         return lambda number: image_of_npy(values[number], f"Image {number} of {path}"), len(values)
-    content = _picture_bytes(path, most_pixels)
+    content = _picture_bytes(path, MAX_PIXELS)
     pages = tiff_pages(BytesIO(content))
     begun = bytearray(content)  # changed in place: a copy of a large file takes longer than decoding a page
 
     def image(number: int) -> Image:
         begin_tiff_at(begun, pages[number])
-        return _image_in(cast("bytes", begun), path, most_pixels)
+        return _image_in(cast("bytes", begun), path, MAX_PIXELS)
 
     return image, len(pages)
 

@@ -74,7 +74,7 @@ class Images(Film):
     DataError: the folder contains no image; in a loop: an image cannot be read.
     """
 
-    def __init__(self, path: Path, rate_hz: float = USUAL_RATE_HZ) -> None:
+    def __init__(self, path: Path, rate_hz: float) -> None:
         rate = check_positive(rate_hz, "rate_hz")
         super().__init__(path, RecordingFacts(path.resolve().name, rate_hz=rate))
         if path.is_file():

@@ -32,7 +32,6 @@ class SensorProfile:
     border: float  # fraction of the frame that is cropped on each of the four sides
     mm_per_px: float  # of images
     mm_per_px_sigma: float  # its standard deviation: variation between units and uncertainty of the source
-    verified: bool  # whether the scale was checked by an independent measurement
     source: str  # origin of these figures
     # "clockwise" or "counter-clockwise": the order of red, green and blue light around the gel in the image, measured on one
     # unit. Turning the camera keeps it; swapping channels or mirroring the image reverses it.
@@ -135,7 +134,6 @@ SENSORS = {
             border=1 / 7,
             mm_per_px=0.0634,
             mm_per_px_sigma=0.0009,
-            verified=True,
             source="GelSight Inc., gsrobotics, examples for the Mini: 1/7 cut from each side, 0.0634 mm/px at "
             "240x320 (a later release cuts 0.15); an edge of 10 mm measured independently gave 0.0625 mm/px",
             light_order="clockwise",
@@ -150,7 +148,6 @@ SENSORS = {
             border=0.0,
             mm_per_px=0.05107,
             mm_per_px_sigma=0.0037,
-            verified=False,
             source="FOTS: 19.58 px/mm at 320x240 in its code, 21.09 in a comment beside it; not verified",
             light_order="counter-clockwise",
         ),

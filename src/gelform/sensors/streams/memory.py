@@ -146,7 +146,7 @@ class Memory:
 
         If something touches the gel, the background stays, and results have the finding `background_refused`.
         """
-        self._drift.take()
+        self._drift.asked = True
 
     def image_from_frame(self, frame: Frame) -> Array:
         """The calibration's view of a frame; ValueError if the frame has another size."""

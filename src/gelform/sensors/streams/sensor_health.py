@@ -86,7 +86,8 @@ class BackgroundDrift:
         self._mean: Map | None = None
         self._waiting: deque[MeanImage] = deque()
         self._last_s: float | None = None
-        self._asked = self._taking = False
+        # Set to take the mean of the next second as background, from any thread, because nothing touches now.
+        self.asked = self._taking = False
         self._contact_long = np.zeros(background.shape[:2], dtype=bool)
         self.evidence: DriftEvidence | None = None  # of the last complete ten seconds
         self._start_anew(0.0)
@@ -97,10 +98,6 @@ class BackgroundDrift:
         rest = self._local_blocks
         return np.asarray(lit(rest, self.light).mean(axis=(0, 1)) / rest.mean(axis=(0, 1)), dtype=np.float64)
 
-    def take(self) -> None:
-        """Take the mean of the next second as background, because nothing touches now. May be called from any thread."""
-        self._asked = True
-
     def __call__(self, image: Array, result: Reconstruction) -> Map | None:
         """Learn from a frame; the background (H, W, 3) if it has changed, else None."""
         time_s = result.time_s or 0.0
@@ -109,8 +106,8 @@ class BackgroundDrift:
             self.touched.everywhere(time_s)
             self._forget(time_s)
         self._last_s = time_s
-        if self._asked:
-            self._asked, self._taking, self.refused = False, True, ()
+        if self.asked:
+            self.asked, self._taking, self.refused = False, True, ()
             self._start_anew(time_s)
         names = {finding.name for finding in result.health}
         if names & NO_MEASURE:
