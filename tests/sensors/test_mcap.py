@@ -16,10 +16,8 @@ from gelform.errors import DataError
 from gelform.sensors.films import open_film
 from gelform.sensors.mcap import (
     SAMPLED_RECORDS,
-    Channel,
     McapRecording,
     PictureTopic,
-    PlacedMessage,
     end_missing,
     is_bag_folder,
     mcap_file_in,
@@ -67,20 +65,20 @@ def test_what_to_do_where_there_is_not_one(tmp_path, said, names):
 
 def test_channels_once_and_messages_with_their_topic(tmp_path):
     found = list(mcap_records(image_file(tmp_path / "a.mcap", {"/image": [b"a", b"b"]}, before=1)))
-    channels = [one for one in found if isinstance(one, Channel)]
-    assert channels == [
-        Channel("/joints", "sensor_msgs/msg/JointState", "cdr"),
-        Channel("/image", "sensor_msgs/msg/Image", "cdr"),
-    ]
-    placed = [(one.topic, one.message.data) for one in found if isinstance(one, PlacedMessage)]
-    assert placed == [("/joints", b"\0\1\0\0"), ("/image", b"a"), ("/image", b"b")]
-    assert type(found[-1]).__name__ == "Footer"
+    channels, messages = (
+        [(topic, schema, getattr(one, field)) for topic, schema, one in found if type(one).__name__ == kind]
+        for kind, field in (("Channel", "message_encoding"), ("Message", "data"))
+    )
+    joints, image = ("/joints", "sensor_msgs/msg/JointState"), ("/image", "sensor_msgs/msg/Image")
+    assert channels == [(*joints, "cdr"), (*image, "cdr")]
+    assert messages == [(*joints, b"\0\1\0\0"), (*image, b"a"), (*image, b"b")]
+    assert type(found[-1][2]).__name__ == "Footer"
 
 
 def test_cut_short_it_ends_without_a_footer_and_what_is_no_mcap_file_is_refused(tmp_path):
     path = image_file(tmp_path / "a.mcap", {"/image": b"a"})
     path.write_bytes(path.read_bytes()[:-20])
-    assert type(list(mcap_records(path))[-1]).__name__ != "Footer"
+    assert type(list(mcap_records(path))[-1][2]).__name__ != "Footer"
     path.write_text("this is text, and long enough to be looked at")
     for at, said in ((path, "no MCAP file"), (tmp_path / "missing.mcap", "No recording")):
         with pytest.raises(DataError, match=said):

@@ -286,42 +286,22 @@ def end_missing(path: Path) -> str:
     return "" if whole else f"{path} has no end: its recorder was killed, or it was copied in part. {CUT}"
 
 
-@dataclass(frozen=True)
-class Channel:
-    """A topic with the name of its message type and the encoding of its messages."""
-
-    topic: str
-    schema: str
-    encoding: str
-
-
-@dataclass(frozen=True)
-class PlacedMessage:
-    """A message with its topic."""
-
-    topic: str
-    message: Any
-
-
-def mcap_records(path: Path) -> Iterator[Any]:
-    """Channels, messages with their topic, and all other records as the library returns them.
+def mcap_records(path: Path) -> Iterator[tuple[str, str, Any]]:
+    """Each record, after its channel's topic and message type ("" without one); schemas and known channels are left out.
 
     DataError: as `records_from`.
     """
     schemas: dict[int, str] = {}
-    topics: dict[int, str] = {}
+    channels: dict[int, tuple[str, str]] = {}
     for record in chain.from_iterable(records for _, records in records_from(path)):
         kind = type(record).__name__
         if kind == "Schema":
             schemas[record.id] = record.name
-        elif kind == "Channel" and record.id not in topics:
-            topics[record.id] = record.topic
-            schema = schemas.get(record.schema_id, "")
-            yield Channel(record.topic, schema, record.message_encoding)
-        elif kind == "Message":
-            yield PlacedMessage(topics.get(record.channel_id, ""), record)
         elif kind != "Channel":
-            yield record
+            yield *channels.get(getattr(record, "channel_id", -1), ("", "")), record
+        elif record.id not in channels:
+            channels[record.id] = record.topic, schemas.get(record.schema_id, "")
+            yield *channels[record.id], record
 
 
 def records_from(path: Path, offset: int = 0) -> Iterator[tuple[int, list[Any]]]:
@@ -417,22 +397,22 @@ def picture_topic_of(path: Path) -> tuple[RecordingFacts, PictureTopic]:
     facts: RecordingFacts | None = None
     compressed, others = list[str](), list[str]()
     encodings: dict[str, str] = {}  # of raw pictures; "" until the first message
-    for count, record in enumerate(mcap_records(path)):
-        if type(record).__name__ == "Metadata" and record.name == METADATA:
+    for count, (topic, schema, record) in enumerate(mcap_records(path)):
+        kind = type(record).__name__
+        if kind == "Metadata" and record.name == METADATA:
             facts = RecordingFacts.from_json(record.metadata.get("facts", ""), str(path))
-        elif isinstance(record, Channel):
+        elif kind == "Channel":
             # image_transport's compressed depth has the message type of a picture.
-            is_depth = record.topic.endswith("/compressedDepth")
-            readable = record.encoding == MESSAGE_ENCODING and not is_depth
-            if readable and record.schema == RAW_SCHEMA_NAME:
-                encodings[record.topic] = ""
+            readable = record.message_encoding == MESSAGE_ENCODING and not topic.endswith("/compressedDepth")
+            if readable and schema == RAW_SCHEMA_NAME:
+                encodings[topic] = ""
             else:
-                (compressed if readable and record.schema == SCHEMA_NAME else others).append(record.topic)
-        elif isinstance(record, PlacedMessage) and encodings.get(record.topic) == "":
+                (compressed if readable and schema == SCHEMA_NAME else others).append(topic)
+        elif kind == "Message" and encodings.get(topic) == "":
             try:
-                encodings[record.topic] = decoded(record.message.data, RAW_SCHEMA_NAME).encoding
+                encodings[topic] = decoded(record.data, RAW_SCHEMA_NAME).encoding
             except ValueError as problem:
-                raise DataError(f"{path}: {record.topic} cannot be read. {problem}") from problem
+                raise DataError(f"{path}: {topic} cannot be read. {problem}") from problem
         if TOPIC in compressed or (count > SAMPLED_RECORDS and "" not in encodings.values()):
             break
     if TOPIC in compressed:

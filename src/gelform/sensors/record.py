@@ -19,7 +19,7 @@ from gelform import Calibration, DataError, Frame, GelformError, Grabber, __vers
 from gelform.arrays import Map
 from gelform.errors import Progress, no_progress
 from gelform.foundations.files import check_free, picture_bytes
-from gelform.sensors.mcap import McapRecording, PlacedMessage, is_bag_folder, mcap_file_in, mcap_records
+from gelform.sensors.mcap import McapRecording, is_bag_folder, mcap_file_in, mcap_records
 from gelform.sensors.playback import (
     ATTACHABLE,
     BACKGROUND,
@@ -58,10 +58,11 @@ def attached_to(path: Path) -> dict[str, bytes]:
     if path.suffix.lower() != ".mcap" and not is_bag_folder(path):
         return {}
     found: dict[str, bytes] = {}
-    for record in mcap_records(mcap_file_in(path)):
-        if isinstance(record, PlacedMessage):
+    for *_, record in mcap_records(mcap_file_in(path)):
+        kind = type(record).__name__
+        if kind == "Message":
             break
-        if type(record).__name__ == "Attachment" and record.name in ATTACHABLE:
+        if kind == "Attachment" and record.name in ATTACHABLE:
             found[record.name] = record.data
     for name, content in found.items():
         if len(content) > MAX_ATTACHMENT_BYTES:

@@ -307,12 +307,12 @@ def _folder(path: Path) -> dict[str, Any]:
 
 def _bag(path: Path) -> dict[str, Any]:
     """The topics with their numbers of messages; an error of the reader is listed as missing."""
-    from gelform.sensors.mcap import PlacedMessage, mcap_file_in, mcap_records
+    from gelform.sensors.mcap import mcap_file_in, mcap_records
 
     facts: dict[str, Any] = {"kind": "bag of ROS 2"}
     try:
         file = mcap_file_in(path)
-        topics = Counter(record.topic for record in mcap_records(file) if isinstance(record, PlacedMessage))
+        topics = Counter(topic for topic, _, one in mcap_records(file) if type(one).__name__ == "Message")
     except GelformError as problem:
         return {**facts, "missing": [str(problem)]}
     return {**facts, "file": file.name, "messages": dict(sorted(topics.items()))}
