@@ -271,16 +271,6 @@ DARK = 0.06  # mean loss of light by dust, a fraction; a slight bright spot does
 BODY_PX = 15  # px; a wider contact is an object
 
 
-@dataclass(frozen=True)
-class Mark:
-    """One connected part of the image that differs from the start."""
-
-    name: str  # "scratch", "dust", "tear"
-    area_px: int
-    length_px: float
-    change: float  # relative, mean of all channels
-
-
 class Marks:
     """Counts for how long each pixel has differed from the start without contact around it."""
 
@@ -297,14 +287,13 @@ class Marks:
         if self._stays is None:
             self._stays = np.zeros(odd.shape, np.uint8)
         self._stays[:] = np.where(_dilated(odd, 1), np.minimum(self._stays + 1, 250), 0)
-        marks = _marks(odd & (self._stays >= MARK_STAYS), change, evidence.contact)
+        largest = _largest_marks(odd & (self._stays >= MARK_STAYS), change, evidence.contact)
         findings = []
-        for name, words in _WORDS.items():
-            named = (mark for mark in marks if mark.name == name)
-            if largest := max(named, key=lambda mark: mark.area_px, default=None):
-                share, length = largest.area_px / odd.size, largest.length_px
-                message = words.format(length=length, percent=100 * share, change=100 * largest.change)
-                findings.append(Finding(name, message, share if name == "tear" else length))
+        for name in filter(largest.__contains__, _WORDS):
+            area, length, brighter = largest[name]
+            share = area / odd.size
+            message = _WORDS[name].format(length=length, percent=100 * share, change=100 * brighter)
+            findings.append(Finding(name, message, share if name == "tear" else length))
         return tuple(findings)
 
 
@@ -345,9 +334,10 @@ def _stands_out(change: Map, near_a_body: Mask) -> Mask:
     return np.asarray((odd & ~near_a_body) | torn)
 
 
-def _marks(where: Mask, change: Map, contact: Mask) -> list[Mark]:
+def _largest_marks(where: Mask, change: Map, contact: Mask) -> dict[str, tuple[int, float, float]]:
+    """Of the largest mark of each name: its area and length, px, and the relative change, mean of all channels."""
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(where.view(np.uint8), connectivity=8)
-    marks = []
+    largest: dict[str, tuple[int, float, float]] = {}
     for label in range(1, count):
         area = int(boxes[label][cv2.CC_STAT_AREA])
         if area < 4:  # px: noise
@@ -359,9 +349,10 @@ def _marks(where: Mask, change: Map, contact: Mask) -> list[Mark]:
             continue
         around = _dilated(mine, 8) & ~mine  # 8 px wide
         # With contact in half of its surroundings, an object rests on the gel, and the gel itself is unchanged.
-        if name == "tear" or not float(contact[around].mean()) > 0.5:
-            marks.append(Mark(name, area, length, brighter))
-    return marks
+        rests = name != "tear" and float(contact[around].mean()) > 0.5
+        if not rests and (name not in largest or area > largest[name][0]):
+            largest[name] = area, length, brighter
+    return largest
 
 
 def _kind(mine: Mask, change: Map, area: int) -> tuple[str, float]:
