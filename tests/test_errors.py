@@ -27,11 +27,6 @@ def test_a_reason_is_one_whatever_file_and_figure_it_names():
     assert tally.examples[max(tally.reasons, key=tally.reasons.get)] == "/a/1.png: too small (3 px)"
 
 
-def test_nothing_is_reported_by_default(capsys):
-    assert no_progress(1, 2, "working") is None
-    assert capsys.readouterr() == ("", "")
-
-
 def test_every_public_progress_is_that_one():
     functions = [value for name in gelform.__all__ if inspect.isfunction(value := getattr(gelform, name))]
     reporting = [one for one in functions if "progress" in inspect.signature(one).parameters]

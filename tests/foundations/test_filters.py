@@ -19,7 +19,6 @@ from gelform.foundations import filters
 from gelform.foundations.filters import MEDIAN_SAMPLES, bessel_k, fill_unknown, lattice_step, medians_where
 from gelform.foundations.information import determined_by
 from kernel_agreement import assert_kernel_agrees
-from scenes import polynomial, scene
 
 
 def by_numpy(values, chosen, step):
@@ -74,21 +73,6 @@ class TestFill:
         assert np.array_equal(filled[known], values[known])
         assert filled.min() >= values[known].min() - 1e-5
         assert filled.max() <= values[known].max() + 1e-5
-
-    def test_scattered_holes_in_a_plane_are_filled_closely(self):
-        plane, _, _ = scene(polynomial({(1, 0): 1.0, (0, 1): -0.5}), (60, 80), 0.1)
-        known = np.random.default_rng(1).uniform(size=plane.shape) > 0.3
-        error = np.abs(fill_unknown(plane[..., None], known)[..., 0] - plane)[2:-2, 2:-2]
-        assert error.max() < 0.12
-        assert np.sqrt(np.mean(error[~known[2:-2, 2:-2]] ** 2)) < 0.02
-
-    def test_a_hole_is_filled_between_its_sides(self):
-        x = np.linspace(0, 1, 64)[None, :, None] * np.ones((64, 1, 1))
-        known = np.ones((64, 64), dtype=bool)
-        known[20:44, 20:44] = False
-        filled = fill_unknown(x, known)[..., 0]
-        assert np.max(np.abs(filled - x[..., 0])) < 0.1
-        assert np.all(np.diff(filled[32]) > -1e-3)
 
     @pytest.mark.parametrize("shape", [(40, 56), (41, 57), (30, 13), (1, 9)])
     @pytest.mark.parametrize("axis", [0, 1, (0, 1)])

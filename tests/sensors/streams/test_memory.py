@@ -329,13 +329,6 @@ def test_a_value_that_is_being_made_is_waited_for():
     assert values.newest() == "new"
 
 
-class Failing(Memory):
-    """Forgets how to learn."""
-
-    def learn(self, image, result):
-        raise MemoryError("no more")
-
-
 class Hanging(Memory):
     """A stage that does not come back before it is let go: `remembered` or `learn`."""
 
@@ -369,7 +362,12 @@ class Stepwise:
 
 
 def test_an_error_in_the_last_stage_arrives_too(reconstruct, at_rest):
-    with running(ImageSource(at_rest), Failing(reconstruct)) as pipeline:
+    def fail(*_):
+        raise MemoryError("no more")
+
+    memory = Memory(reconstruct)
+    memory.learn = fail
+    with running(ImageSource(at_rest), memory) as pipeline:
         first = pipeline.results.newest(timeout_s=60)  # it was given before anything was learned from it
         with pytest.raises(MemoryError, match="no more"):
             pipeline.results.newest(first.index + 10**6, timeout_s=60)
