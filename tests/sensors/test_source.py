@@ -74,21 +74,16 @@ class Clock:
         self.now += seconds
 
 
-def test_a_pace_waits_for_what_is_to_come_and_passes_over_what_is_late(monkeypatch):
+def test_a_pace_waits_for_what_is_to_come_and_says_what_is_late(monkeypatch):
     clock = Clock()
     monkeypatch.setattr(playback, "time", clock)
-    pace = Pace(20.0)
-    assert [pace.wait_for(k) for k in range(4)] == pytest.approx([100, 100.05, 100.1, 100.15])
+    pace = Pace()
+    assert [pace.wait_until(k / 20) for k in range(4)] == pytest.approx([100, 100.05, 100.1, 100.15])
     assert clock.now == pytest.approx(100.15)
     clock.now = 101
-    assert pace.wait_for(3) == pytest.approx(100.15)
+    assert pace.wait_until(0.15) == pytest.approx(100.15)
     assert clock.now == 101
-    pace = Pace(20.0)
-    assert pace.next_after(0) == 1
-    clock.now += 0.52
-    assert pace.next_after(0) == 10
-    assert pace.late_s(0.5) == pytest.approx(0.02)
-    assert pace.late_s(1.0) < 0
+    assert (pace.late_s(0.98), pace.late_s(2.0)) == pytest.approx((0.02, -1.0))
 
 
 def frames(count, rate_hz=50.0):

@@ -93,24 +93,16 @@ def reduction_in(settings: Mapping[str, float | str]) -> int:
 
 
 class Pace:
-    """The times of evenly spaced frames; the first time is now."""
+    """The times of frames by a clock that starts now."""
 
-    def __init__(self, rate_hz: float) -> None:
-        self._rate_hz, self._start_s = rate_hz, time.monotonic()
-
-    def wait_for(self, index: int) -> float:
-        """As `wait_until` for the time of a frame."""
-        return self.wait_until(index / self._rate_hz)
+    def __init__(self) -> None:
+        self._start_s = time.monotonic()
 
     def wait_until(self, after_s: float) -> float:
         """Wait until `after_s` seconds after the start; return that time, on the clock."""
         due = self._start_s + after_s
         time.sleep(max(0.0, due - time.monotonic()))
         return due
-
-    def next_after(self, index: int) -> int:
-        """The next frame that is less than one frame period late: a slow reader gets no old frames."""
-        return max(index + 1, int(self.late_s(0.0) * self._rate_hz))
 
     def late_s(self, after_s: float) -> float:
         """Seconds since the moment `after_s` after the start; negative if it is in the future."""
@@ -179,8 +171,7 @@ class Playback(Closing):
         self._closed = False
 
     def __iter__(self) -> Iterator[Frame]:
-        rate_hz, first_s = self.rate_hz or USUAL_RATE_HZ, None
-        pace = Pace(rate_hz)
+        rate_hz, first_s, pace = self.rate_hz or USUAL_RATE_HZ, None, Pace()
         for frame in self._frames:
             if self.live:
                 first_s = frame.time_s if first_s is None else first_s

@@ -228,12 +228,12 @@ class SimulatedSource(Closing):
         ahead = threading.Thread(target=self._compute_ahead, name="simulated touches", daemon=True)
         ahead.start()
         self._ahead = ahead  # started: close() waits for this thread
-        pace, index = Pace(self._rate_hz), 0
+        pace, index = Pace(), 0
         while not self._closed.is_set():
             image = self.image_at(index)  # before its time: a real exposure takes none of ours
-            time_s = pace.wait_for(index)
+            time_s = pace.wait_until(index / self._rate_hz)
             yield Frame(image, time_s, time.time_ns(), index)
-            index = pace.next_after(index)
+            index = max(index + 1, int(pace.late_s(0.0) * self._rate_hz))  # a slow reader gets no old frames
 
     def image_at(self, index: int) -> Image:
         """The image (H, W, 3) uint8 RGB of a frame number."""
