@@ -27,7 +27,7 @@ import pytest
 
 from gelform.image.view import Frame
 from gelform.sensors.mcap import McapRecording
-from gelform.sensors.playback import Playback, RecordingFacts
+from gelform.sensors.playback import Closing, Playback, RecordingFacts
 from gelform.simulate import LAYOUTS, Coating, Gel, Led, SimulatedSensor
 
 
@@ -187,7 +187,7 @@ def camera(count=6, **how):
     return lambda: Playback(frames(count, **how), FACTS, paced=True)
 
 
-class ImageSource:
+class ImageSource(Closing):
     """Frames of the images given, again and again or once; `fails` is raised after the last."""
 
     serial = None
@@ -211,12 +211,6 @@ class ImageSource:
 
     def close(self):
         self.closed = True
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.close()
 
 
 def plug_in(root, number, product, usb_id=None, serial=None, socket="1-2", nodes=2):

@@ -21,7 +21,6 @@ import numpy as np
 
 from gelform.arrays import Array
 from gelform.errors import SensorError, SourceLostError
-from gelform.foundations.checks import check_number
 from gelform.image.view import Frame
 from gelform.sensors.pictures import MAX_TORN, image_from_jpeg, reduction_of
 from gelform.sensors.playback import Closing
@@ -202,10 +201,7 @@ def check_settings(settings: Settings) -> dict[str, float | str]:
     fourcc = str(settings.get("fourcc", "MJPG"))
     if len(fourcc) != 4 or not fourcc.isascii():
         raise ValueError(f"Expected fourcc as four letters, such as MJPG or YUYV, got {fourcc!r}.")
-    return {
-        name: str(value) if name == "fourcc" else check_number(float(value), name)
-        for name, value in settings.items()
-    }
+    return {name: str(value) if name == "fourcc" else float(value) for name, value in settings.items()}
 
 
 def set_controls(capture: cv2.VideoCapture, settings: Settings, led_levels: int, name: str) -> None:

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gelform import __version__
 from gelform.arrays import Array, Image
 from gelform.errors import DataError, Progress, cannot, needed, no_progress
 from gelform.foundations.checks import (
@@ -141,8 +142,6 @@ def save_simulated_press(
 
 def _write_parameters(folder: Path, sensor: SimulatedSensor, twin: Twin | None, **others: Any) -> None:
     """Write sensor.toml, and parameters.json with everything that determines the images."""
-    from gelform import __version__
-
     like = None if twin is None else twin.look.name
     parameters = {"sensor": settings_from_sensor(sensor), "like": like, "gelform_version": __version__}
     text = json.dumps({**parameters, **others}, indent=1, sort_keys=True)
