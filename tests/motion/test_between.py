@@ -175,11 +175,6 @@ def test_gaps_between_the_tops_of_a_texture_belong_to_the_contact():
     assert TouchedSurface(contact_of(texture(), known=unknown)).count < TouchedSurface(result).count
 
 
-def test_a_result_without_a_scale_has_no_motion():
-    with pytest.raises(gelform.GelformError, match="no scale"):
-        TouchedSurface(contact_of(texture(), mm_per_px=None))
-
-
 # Shift in mm and turns in degrees: one direction each, and all together.
 MOTIONS = {
     "x": {"x": 0.3}, "y": {"y": -0.3}, "deeper": {"x": 0.3, "z": 0.05}, "tilt about x": {"x": 0.3, "tilt_x": 2.0},
@@ -265,14 +260,6 @@ def test_what_fills_the_view_has_no_depth():
     assert found.pose[0, 3] == pytest.approx(0.3, abs=0.01)
 
 
-def test_a_plate_without_any_error_shows_no_more():
-    """The equations are singular then, exactly."""
-    found = gelform.motion_between(contact_of(plate), contact_of(plate, pose(0.3)))
-    assert len(found.blind) >= 3
-    assert np.isfinite(found.pose).all()
-    np.testing.assert_allclose(found.pose[:2, 3], 0, atol=1e-6)
-
-
 def column(x, y):
     """A ball whose contact is nearly one column."""
     return np.sqrt(np.maximum(BALL_MM**2 - x**2 - (y / 40) ** 2, 1e-9)) - BALL_MM - 3 * np.abs(x)
@@ -304,16 +291,10 @@ def test_the_covariance_is_definite_where_residuals_say_nothing(name):
     """So nobody who inverts it meets a singular matrix; rounding may not decide that."""
     found = gelform.motion_between(*DEGENERATE[name]())
     assert found.state == UNSURE, found.why
+    assert np.isfinite(found.pose).all()
     np.testing.assert_allclose(found.covariance, found.covariance.T, rtol=1e-6, atol=1e-12)
     unit = 1 / np.sqrt(np.diag(found.covariance))
     assert np.linalg.eigvalsh(unit[:, None] * found.covariance * unit).min() > 1e-10
-
-
-@pytest.mark.parametrize("kind", ["depth", "gradients"])
-def test_what_no_gel_shows_is_refused(kind):
-    one = contact_of(plate)
-    with pytest.raises(gelform.GelformError, match=r"up to 1e\+06, got 1\.0e\+18 mm"):
-        gelform.motion_between(replace(one, **{kind: getattr(one, kind) + np.float32(1e18)}), one)
 
 
 def test_unknown_sigmas_count_little():
@@ -372,6 +353,15 @@ def test_no_motion_is_invented(why):
     assert found.state == LOST
     assert found.pose is found.covariance is found.center_mm is None
     assert re.search(why, found.why), found.why
+
+
+def test_what_no_gel_shows_and_a_result_without_a_scale_are_refused():
+    one = contact_of(plate)
+    far = {name: getattr(one, name) + np.float32(1e18) for name in ("depth", "gradients")}
+    beyond = (({name: values}, r"up to 1e\+06, got 1\.0e\+18 mm") for name, values in far.items())
+    for changed, said in (*beyond, ({"mm_per_px": None}, "no scale")):
+        with pytest.raises(gelform.GelformError, match=said):
+            gelform.motion_between(replace(one, **changed), one)
 
 
 def test_wrong_arguments_are_errors():

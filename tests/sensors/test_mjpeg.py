@@ -260,17 +260,6 @@ def test_a_fault_costs_one_picture(fault, line_end):
     assert found[-2:] == [GREEN, GREEN]
 
 
-def test_a_wrong_length_on_the_way_keeps_the_connection():
-    fault, greens = FAULTS["a length beyond reason"][:-2], [part(GREEN)[:-2], 0.01] * 40
-    with MjpegServer([part(BLUE)[:-2], SEEN, fault, *greens]) as server, Grabber(server.url) as grabber:
-        assert channel(grabber.newest(-1, WAIT_S)) == 2
-        server.seen.release()
-        assert server.sent.wait(WAIT_S)
-        until(lambda: grabber.stats.frames + grabber.stats.drops >= 40)
-        assert channel(grabber.newest(-1, 0)) == 1
-        assert (len(server.requests), grabber.stats.reopened) == (1, 0)
-
-
 JUNK = [b"x" * 100, 0.02] * 200
 STALLS = {
     "bytes that are no pictures": (HEADER, part(RED), JUNK),

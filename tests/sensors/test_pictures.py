@@ -26,7 +26,6 @@ from gelform.sensors.pictures import (
     declared_shape,
     image_from_jpeg,
     image_from_values,
-    jpeg_shape,
     npy_values,
     pixels_of_jpeg,
     pixels_of_png,
@@ -114,12 +113,6 @@ def test_many_single_wrong_bits_are_seen():
     places = rng.uniform(scan_of(content) / len(content), 1, 400)
     seen = [fault(damaged(content, [("flip", place, int(rng.integers(8)))])) is not None for place in places]
     assert 0.4 < np.mean(seen) < 0.9
-
-
-def test_the_size_stands_in_the_header():
-    content, comment = jpeg(SMOOTH[:48, :80]), b"\xff\xd8\xff\xfe\x00\x06abcd"
-    assert jpeg_shape(content) == jpeg_shape(comment + content[2:]) == (48, 80)
-    assert jpeg_shape(b"\xff\xd8 no picture at all") is jpeg_shape(b"") is None
 
 
 def test_a_torn_picture_is_none():

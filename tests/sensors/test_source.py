@@ -14,11 +14,10 @@ import gelform
 import gelform.sensors.grabber as grabber_module
 from gelform.errors import DataError, SensorError, SourceLostError
 from gelform.image.view import Frame
-from gelform.sensors import playback
 from gelform.sensors.files import is_video
 from gelform.sensors.films import is_film
 from gelform.sensors.grabber import Grabber
-from gelform.sensors.playback import Pace, Playback, RecordingFacts
+from gelform.sensors.playback import Playback, RecordingFacts
 from gelform.sensors.source import open_source
 from live_waiting import until
 from made import sources
@@ -60,30 +59,6 @@ def test_what_is_no_source_says_what_is(tmp_path, monkeypatch):
             open_source(spec)
     assert is_film(str(tmp_path))
     assert not any(map(is_film, ("/dev/null", "2BKRXXXX", "http://a/?" + "9" * 5000)))
-
-
-class Clock:
-    """A clock that only sleep moves."""
-
-    now = 100.0
-
-    def monotonic(self):
-        return self.now
-
-    def sleep(self, seconds):
-        self.now += seconds
-
-
-def test_a_pace_waits_for_what_is_to_come_and_says_what_is_late(monkeypatch):
-    clock = Clock()
-    monkeypatch.setattr(playback, "time", clock)
-    pace = Pace()
-    assert [pace.wait_until(k / 20) for k in range(4)] == pytest.approx([100, 100.05, 100.1, 100.15])
-    assert clock.now == pytest.approx(100.15)
-    clock.now = 101
-    assert pace.wait_until(0.15) == pytest.approx(100.15)
-    assert clock.now == 101
-    assert (pace.late_s(0.98), pace.late_s(2.0)) == pytest.approx((0.02, -1.0))
 
 
 def frames(count, rate_hz=50.0):
