@@ -142,13 +142,6 @@ def test_the_surface_is_the_body_in_the_first_frame(parts):
 
 
 @pytest.mark.linear_algebra
-def test_wrong_poses_show(parts):
-    """A sign, or a motion the other way round, is a hundred times worse."""
-    whole = gelform.mosaic(parts, [np.linalg.inv(one) for one in PATH_MOSAIC])
-    assert (whole.depth_mm - true_depth(whole.shape))[whole.known].std() > 0.02
-
-
-@pytest.mark.linear_algebra
 def test_sigma_has_the_poses_covariance(parts):
     motions = [gelform.motion_between(parts[2], one, start=start) for one, start in zip(parts, PATH_MOSAIC)]
     assert all(one.pose is not None for one in motions)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import threading
 import time
 from copy import copy
@@ -34,14 +33,6 @@ def test_any_frame_in_any_order_has_the_number_and_time_of_open_source(form, rat
     if form == "mcap":
         facts = recording.camera
         assert (facts.name, facts.serial, dict(facts.settings)) == ("ring", "S7", {"exposure": 50.0})
-
-
-def test_an_image_that_was_removed_meanwhile_is_said(forms, tmp_path):
-    copied = shutil.copytree(forms["images"], tmp_path / "copy")
-    recording = open_film(copied)
-    (copied / "003.png").unlink()
-    with pytest.raises(DataError, match=r"003\.png"):
-        recording[3]
 
 
 @pytest.fixture

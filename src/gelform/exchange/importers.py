@@ -399,11 +399,8 @@ def _state_dict(path: Path) -> dict[str, Any]:
             members = names_in(archive, path, "a network that gelform reads", MAX_BYTES)
             ends = [name.split("/")[-1] for name in members]
             pickles = [archive.read(name) for name, end in zip(members, ends) if end == "data.pkl"]
-    except (OSError, *DAMAGED_ARCHIVE) as problem:
-        raise DataError(f"{path} is truncated or damaged: {said(problem)}. Copy it again.") from problem
-    if start != b"PK\x03\x04" or len(pickles) != 1 or "constants.pkl" in ends:
-        raise DataError(f"Expected weights of torch.save, a zip with data.pkl in it, got {path}.")
-    try:
+        if start != b"PK\x03\x04" or len(pickles) != 1 or "constants.pkl" in ends:
+            raise DataError(f"Expected weights of torch.save, a zip with data.pkl in it, got {path}.")
         _check_pickle(pickles[0])
         torch = needed("torch", "torch", "A network saved by torch")
         content = torch.load(path, map_location="cpu", weights_only=True)
@@ -415,7 +412,7 @@ def _state_dict(path: Path) -> dict[str, Any]:
         ) from problem
     except DataError:
         raise
-    except Exception as problem:  # torch names no classes for what is damaged
+    except Exception as problem:  # neither zipfile nor torch has one class for what is damaged
         raise DataError(f"{path} is truncated or damaged: {said(problem)}. Copy it again.") from problem
     content = content.get("state_dict", content) if isinstance(content, dict) else None
     tensors = {str(name): one for name, one in content.items()} if isinstance(content, dict) else {}
