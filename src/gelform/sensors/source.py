@@ -15,7 +15,7 @@ from gelform.sensors.cameras import UsbCamera, camera_named
 from gelform.sensors.files import FILM_SUFFIXES
 from gelform.sensors.films import is_film, open_film
 from gelform.sensors.mjpeg import OPEN_S, MjpegUrl, shown_address
-from gelform.sensors.playback import Playback
+from gelform.sensors.playback import Closing, Playback
 from gelform.sensors.simulated import RATE_HZ, SimulatedSource, simulated_sensor_named
 from gelform.simulate import SimulatedSensor
 
@@ -57,7 +57,7 @@ class Source(Protocol):
     ) -> None: ...
 
 
-class FromBgr:
+class FromBgr(Closing):
     """A source whose frames come as blue, green, red, in RGB; everything else is the source's own."""
 
     def __init__(self, source: Source) -> None:
@@ -69,12 +69,8 @@ class FromBgr:
     def __iter__(self) -> Iterator[Frame]:
         return map(in_rgb, self.source)
 
-    def __enter__(self) -> FromBgr:
-        self.source.__enter__()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self.source.__exit__(*error)
+    def close(self) -> None:
+        self.source.close()
 
 
 def checked_frame(frame: Frame, after_index: int, name: str) -> Frame:
