@@ -263,6 +263,9 @@ def test_objects_touch_in_turn_without_going_through_the_gel():
         assert max(depths) > 0.2
         assert all(0 < depth < 0.5 * sensor.gel.thickness_mm for depth in depths)
         assert max(depths[0], depths[-1]) < 0.1
+    size_mm = np.array(sensor.shape[::-1]) * sensor.mm_per_px
+    around = [touch.pose.center_mm / size_mm for touch in program(sensor)[0][REST_IMAGES:]]
+    np.testing.assert_allclose(np.hypot(*np.transpose(around)), 0.3)  # the ball rolls around the middle
 
 
 def test_at_rest_nothing_is_computed_ahead(source, monkeypatch):
