@@ -276,7 +276,15 @@ def test_a_camera_that_sends_no_pictures_is_lost_though_it_sends(monkeypatch, he
         taken([first, 0.1, *pieces], 2, header)
 
 
-def test_an_answer_that_comes_byte_by_byte_ends():
+def test_an_answer_that_comes_byte_by_byte_ends_also_where_its_end_resets_the_connection(monkeypatch):
     drip = [piece for one in b"HTTP/1.1 200 OK\r\nX: " + b"a" * 400 for piece in (bytes([one]), 0.02)]
     with MjpegServer(drip, b"") as server, pytest.raises(SensorError, match="did not finish its answer"):
         HttpBody(server.url, 0.15)
+
+    def reset(*_):
+        time.sleep(0.12)
+        raise SensorError("Connection reset by peer.")
+
+    monkeypatch.setattr("gelform.sensors.mjpeg._answer_to", reset)
+    with MjpegServer([]) as server, pytest.raises(SensorError, match="did not finish its answer"):
+        HttpBody(server.url, 0.05)

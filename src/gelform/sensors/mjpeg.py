@@ -153,13 +153,14 @@ class HttpBody:
             until = time.monotonic() + 2 * timeout_s
             ending = threading.Timer(2 * timeout_s, _shut, [self._socket])
             ending.start()
-            undone.callback(ending.cancel)
-            self._response = _answer_to(place, self._socket, self.url)
-            ending.cancel()
-            if time.monotonic() >= until:
-                raise SensorError(
-                    f"{self.url} did not finish its answer's header within {2 * timeout_s:g} s."
-                )
+            try:
+                self._response = _answer_to(place, self._socket, self.url)
+            finally:
+                ending.cancel()
+                if time.monotonic() >= until:  # whatever the ended connection made of it, such as a reset
+                    raise SensorError(
+                        f"{self.url} did not finish its answer's header within {2 * timeout_s:g} s."
+                    )
             undone.pop_all()  # it answers; the connection stays open
         self.headers = self._response.headers
         self._dechunk = Dechunker() if self._response.chunked else None
