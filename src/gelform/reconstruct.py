@@ -254,7 +254,9 @@ class FrameRecord:
 
     def _widened(self, sigma: Any) -> Any:
         """A standard deviation of depth (H, W), or None, that knows nothing of lost pixels."""
-        self.seen.faults.widen(sigma, self.fixed.limit.ignorance_mm)
+        lost = self.seen.faults.lost
+        if sigma is not None and lost is not None:
+            np.maximum(sigma, np.float32(self.fixed.limit.ignorance_mm), out=sigma, where=lost)
         return sigma
 
 
@@ -400,7 +402,8 @@ class Reconstructor:
                 albedo = partial(today.model.albedo_from_color, change.copy())
         solution = fixed.depth(slopes)
         depth_mm, too_deep = fixed.limit.bound(solution.depth_mm)
-        known = seen.faults.without_lost(solution.known)
+        lost = seen.faults.lost
+        known = solution.known if lost is None else solution.known & ~lost
         findings = (*self.findings, *seen.findings, *at_bias, *too_deep)
         return FrameRecord(fixed, today, seen, slopes, solution, depth_mm, known, findings), albedo
 
@@ -414,7 +417,7 @@ class Reconstructor:
         if markers is not None:
             image = today.untouched_image.bridged(image, markers)
         light, drifted = today.untouched_image.compare(image)
-        hidden = faults.hidden(markers)
+        hidden = either(markers, faults.lost)
         clipped = today.clipped(as_levels(image), hidden)
         unseen = either(either(hidden, clipped.unseen), today.outside)
         findings = *faults.findings, *drifted

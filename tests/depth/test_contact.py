@@ -5,7 +5,7 @@ import pytest
 from scipy.special import k1
 
 from gelform.depth import contact as evidence_module
-from gelform.depth.contact import Evidence, Regions, labeled
+from gelform.depth.contact import Evidence, labeled
 from kernel_agreement import assert_kernel_agrees
 
 PITCH, LENGTH, FACTOR = 0.05, 0.6, 3.5
@@ -37,11 +37,11 @@ def regions_of(mask, depth, sigma, whole, noise=0.02):
     sigma = sigma * np.ones(depth.shape)
     evidence = np.where(mask, whole, 0) ** 2 / (noise**2 + (sigma / LENGTH**2) ** 2)
     maps = depth, sigma, evidence, depth, whole - depth / LENGTH**2
-    return Regions(number, labels, *(np.ascontiguousarray(values, np.float32) for values in maps))
+    return number, labels, *(np.ascontiguousarray(values, np.float32) for values in maps)
 
 
 def standing(regions, **how):
-    return judge(**how)(regions)[0].tolist()
+    return judge(**how)(*regions)[0].tolist()
 
 
 def test_the_depth_of_a_pressed_disc_is_that_of_the_analytic_one():
@@ -60,7 +60,7 @@ def test_a_contact_stands_and_gel_that_it_draws_down_does_not():
     disc, speck = distance(50, 60) < 1.0, distance(84, 60) < 0.25
     whole = 0.8 * disc + 0.12 * speck
     depth = depth_of(whole)
-    stands, deepest = judge()(regions_of(disc | speck, depth, 0.01, whole, 0.02))
+    stands, deepest = judge()(*regions_of(disc | speck, depth, 0.01, whole, 0.02))
     assert stands.tolist() == [False, True, False]
     assert deepest[1].tolist() == [60, 50]
     alone = depth_of(0.12 * speck)

@@ -272,7 +272,9 @@ class Kernel:
         values, seen = list(arguments), []
         try:
             for place, parameter in self._handles:
-                _check_handle(values[place], parameter.kind)
+                handle = arguments[place]
+                if not isinstance(handle, Handle) or handle.name != parameter.kind:
+                    raise TypeError(f'expected Handle("{parameter.kind}", ...), got {handle!r}.')
             for place, parameter, dtype in self._arrays:
                 array = arguments[place]
                 try:
@@ -328,8 +330,3 @@ class Handle:
         self.name = name
         self._as_parameter_ = ctypes.c_void_p(address)
         finalize(self, free, address)
-
-
-def _check_handle(handle: Any, kind: str) -> None:
-    if not isinstance(handle, Handle) or handle.name != kind:
-        raise TypeError(f'expected Handle("{kind}", ...), got {handle!r}.')

@@ -241,18 +241,6 @@ _standing_regions = Kernel(
 )
 
 
-class Regions(NamedTuple):
-    """The regions of an outline, and the maps (H, W) that speak for them."""
-
-    number: int
-    labels: NDArray[np.uint16]  # from 1
-    depth: Map  # mm
-    sigma: Map  # mm, its standard deviation
-    evidence: Map  # square of the mean pressure around over its variance
-    smooth: Map  # the depth smoothed
-    bent: Map  # minus its Laplacian
-
-
 @dataclass(frozen=True)
 class Evidence:
     """Which regions stand, by their own uncertainty.
@@ -271,19 +259,27 @@ class Evidence:
     noise_factor: float
     min_area_mm2: float
 
-    def __call__(self, regions: Regions) -> tuple[Mask, NDArray[np.int32]]:
+    def __call__(
+        self,
+        number: int,
+        labels: NDArray[np.uint16],  # (H, W), of the regions, from 1
+        depth: Map,  # (H, W), mm
+        sigma: Map,  # (H, W), mm, its standard deviation
+        evidence: Map,  # (H, W), square of the mean pressure around over its variance
+        smooth: Map,  # (H, W), the depth smoothed
+        bent: Map,  # (H, W), minus its Laplacian
+    ) -> tuple[Mask, NDArray[np.int32]]:
         """Whether each label (labels + 1,) is a contact, and the (y, x) of its deepest pixel (labels + 1, 2)."""
-        depth, factor, area = regions.depth, self.noise_factor, self.pitch[0] * self.pitch[1]
-        measures, excess = np.empty((regions.number, 7)), np.empty(1)
+        factor, area = self.noise_factor, self.pitch[0] * self.pitch[1]
+        measures, excess = np.empty((number, 7)), np.empty(1)
         per_x, per_y = (step**2 / area for step in self.pitch)
         _region_evidence(
-            *regions[1:], influence=self._influence, measures=measures, stiffness=self.length_mm**-2, per_x=per_x,
-            per_y=per_y,
-        )  # fmt: skip
-        _variance_below(depth, regions.sigma, excess, step=max(1, depth.size // MEDIAN_SAMPLES))
-        pixels, deepest_mm, x, y, deviation, evidence, own_mm = measures.T
+            labels, depth, sigma, evidence, smooth, bent, self._influence, measures, self.length_mm**-2, per_x, per_y
+        )
+        _variance_below(depth, sigma, excess, step=max(1, depth.size // MEDIAN_SAMPLES))
+        pixels, deepest_mm, x, y, deviation, square, own_mm = measures.T
         deep = (pixels >= self.min_area_mm2 / area) & (deepest_mm > factor * deviation)
-        noise, sigmas = np.sqrt(deviation**2 + excess), np.sqrt(evidence)
+        noise, sigmas = np.sqrt(deviation**2 + excess), np.sqrt(square)
         own = np.minimum(own_mm, deepest_mm) / np.maximum(noise, 1e-9)
         # A region's own depth and its pressure exceed two noise factors together, as the root of the sum of their squares.
         stands = deep & (np.minimum(own, sigmas) > factor) & (np.hypot(own, sigmas) > 2 * factor)
@@ -444,7 +440,7 @@ class PreparedContact:
             np.empty(runs_work(depth.shape), dtype=np.int32), stiffness=self._stiffness, share=0.5, reach=self._reach_px,
         )  # fmt: skip
         count, labels = labeled(contact)
-        stands, deepest = self._stands(Regions(count, labels, depth, sigma, evidence, smooth, bent))
+        stands, deepest = self._stands(count, labels, depth, sigma, evidence, smooth, bent)
         _standing_regions(labels, stands, deepest, depth, contact, reach=NEIGHBORHOOD_PX)
         return contact
 

@@ -207,21 +207,6 @@ class FrameFaults:
     # (H, W) bool, pixels without information, including a margin around torn parts; None if there are none
     lost: Mask | None = None
 
-    def hidden(self, markers: Mask | None) -> Mask | None:
-        """Pixels (H, W) that markers hide or that are lost; None if there are neither."""
-        if self.lost is None or markers is None:
-            return markers if self.lost is None else self.lost
-        return markers | self.lost
-
-    def without_lost(self, known: Mask) -> Mask:
-        """The known pixels (H, W), without the lost ones."""
-        return known if self.lost is None else known & ~self.lost
-
-    def widen(self, sigma: Map | None, least: float) -> None:
-        """Raise a standard deviation (H, W), in place, to at least `least` at lost pixels."""
-        if self.lost is not None and sigma is not None:
-            np.maximum(sigma, np.float32(least), out=sigma, where=self.lost)
-
 
 class FrameHealth:
     """Finds faults of the frames of one sensor, from its background image (H, W, 3), 0-255; threads can share it.

@@ -163,15 +163,11 @@ class PreparedRegistration:
         # Pixels in one row do not determine all terms of light; those that they leave open explain nothing.
         moved = columns[:, 6:] - columns[:, :6] @ determined_by(square[:6, :6]).covariance @ square[:6, 6:]
         residual = change - columns @ determined_by(square).covariance @ (columns.T @ change)
-        noise = self._noise(float(residual @ residual) / len(residual), blur, of)
-        return _solved(moved, change, residual, noise, self._block[of])
-
-    def _noise(self, variance: float, blur: float, of: Mask) -> Numbers:
-        """The part of noise in the information on the motion: half of the residual is the background's own."""
-        slope = 0.5 * variance / (2 * blur**2)
+        # The part of noise in the information on the motion: half of the residual is the background's own.
+        slope = 0.5 * float(residual @ residual) / len(residual) / (2 * blur**2)
         radius = float(np.sum(self._u.ravel()[of] ** 2 + self._v.ravel()[of] ** 2))
-        count = np.count_nonzero(of)
-        return slope * np.diag([count, count, radius, radius])
+        noise = slope * np.diag([len(residual), len(residual), radius, radius])
+        return _solved(moved, change, residual, noise, self._block[of])
 
     def _start(self, logs: Map, touched: Mask | None) -> Numbers:
         """A start for the shift: the peak of the phase correlation of the fine texture, 0 without one."""

@@ -13,12 +13,12 @@ from gelform.simulate.sensor import Led
 from gelform.slopes.color_models import LambertianModel, NearLightModel, Samples, physical
 from gelform.slopes.color_models.physical import (
     OFF_DIAGONAL,
-    Toward,
     gradients_from_scaled,
     inverse_lights,
     light_ratio,
     light_ratio_derivatives,
     linear_change,
+    toward_lights,
 )
 from kernel_agreement import assert_kernel_agrees
 from made.images import LIGHTS, ball_samples, lambertian_change
@@ -210,7 +210,7 @@ def pixels():
 
 def test_a_point_light_falls_with_the_square_of_the_distance(pixels):
     _, x, y = pixels
-    light = Toward.of(x, y, POSITIONS, 2.0).light
+    light = toward_lights(x, y, POSITIONS, 2.0).light
     way = POSITIONS - np.stack([x, y, 0 * x], axis=-1)[:, None]
     distance = np.linalg.norm(way, axis=-1)
     np.testing.assert_allclose(np.linalg.norm(light, axis=-1), np.sum(POSITIONS**2, axis=1) / distance**2)

@@ -23,7 +23,7 @@ from gelform.depth.solvers.seam import (
     Solution,
     Weights,
     differences,
-    divergence,
+    edge_system,
     edges_from_gradients,
     per_edge,
     problem_from_gradients,
@@ -82,11 +82,9 @@ class RobustSolver:
         sizes = np.concatenate([np.abs(r[w > 0]) for r, w in sample])
         usual = np.float32(max(SIGMA_OF_MEDIAN * float(np.median(sizes)) if sizes.size else 0.0, 1e-6))
         weights = tuple(w * np.maximum(self._weight(r / usual), FLOOR) for w, r in zip(given, residual))
-        flux = tuple(w * r for w, r in zip(weights, residual))
-        right = divergence(flux, pitch) * np.float32(pitch[0] * pitch[1])  # type: ignore[arg-type]
-        stretched = weights[0] * (pitch[1] / pitch[0]), weights[1] * (pitch[0] / pitch[1])
-        system = *stretched, right - problem.anchor * depth, problem.anchor
-        grid.load_edges(*(np.ascontiguousarray(array, dtype=np.float32) for array in system))
+        left = problem._replace(edges=residual, edge_weights=weights)  # type: ignore[arg-type]
+        east, south, right = edge_system(left, pitch)
+        grid.load_edges(east, south, right - problem.anchor * depth, problem.anchor)
 
 
 class HuberSolver(RobustSolver):

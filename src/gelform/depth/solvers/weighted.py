@@ -109,16 +109,16 @@ class Grid:
     def load(self, problem: LinearSystem, mm_per_px: tuple[float, float]) -> None:
         """Load a frame; the coarse levels are computed again only if its couplings differ from the last ones."""
         if problem.gradients is None or problem.confidence is None:
-            system = *edge_system(problem, mm_per_px), problem.anchor
-            self.load_edges(*(np.ascontiguousarray(array, dtype=np.float32) for array in system))
+            self.load_edges(*edge_system(problem, mm_per_px), problem.anchor)
             return
         x_mm, y_mm = mm_per_px
         if _load(self.handle, problem.gradients, problem.confidence, problem.anchor, hx=x_mm, hy=y_mm):
             _build(self.handle)
 
-    def load_edges(self, east: Map, south: Map, right: Map, anchor: Map) -> None:
+    def load_edges(self, east: Array, south: Array, right: Array, anchor: Array) -> None:
         """Load couplings (H, W-1) and (H-1, W), right side and anchor (H, W), and compute the coarse levels."""
-        _load_edges(self.handle, east, south, anchor, right)
+        system = east, south, anchor, right
+        _load_edges(self.handle, *(np.ascontiguousarray(array, dtype=np.float32) for array in system))
         _build(self.handle)
 
     def solve(

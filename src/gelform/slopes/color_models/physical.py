@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import scipy  # its parts load at first use
@@ -171,32 +171,27 @@ LEAST_RATIO = 1e-3  # of the light at rest; a channel with less is set to it
 OFF_DIAGONAL = ~np.eye(3, dtype=bool)
 
 
-@dataclass(frozen=True)
-class Toward:
+class Toward(NamedTuple):
     """The vectors from pixels to the lights."""
 
     way: Numbers  # (N, 3 lights, 3) S - X
-    strength: Numbers  # (N, 3 lights) |S|^falloff / |S - X|^(1 + falloff): 1 over the distance, at the center
+    strength: Numbers  # (N, 3 lights, 1) |S|^falloff / |S - X|^(1 + falloff): 1 over the distance, at the center
+    light: Numbers  # (N, 3 lights, 3), their product: the factor of a normal
 
-    @classmethod
-    def of(cls, x: Numbers, y: Numbers, positions: Numbers, falloff: float) -> Toward:
-        """Vectors from pixels (N,) to lights at positions (3, 3)."""
-        way = positions - np.stack([x, y, np.zeros_like(x)], axis=-1)[:, None]
-        square = np.einsum("nlk,nlk->nl", way, way)
-        strength = (np.sum(positions**2, axis=1) / square) ** (falloff / 2) / np.sqrt(square)
-        return cls(way, strength)
 
-    @property
-    def light(self) -> Numbers:
-        """The factor (N, 3 lights, 3) of a normal."""
-        return self.strength[..., None] * self.way
+def toward_lights(x: Numbers, y: Numbers, positions: Numbers, falloff: float) -> Toward:
+    """Vectors from pixels (N,) to lights at positions (3, 3)."""
+    way = positions - np.stack([x, y, np.zeros_like(x)], axis=-1)[:, None]
+    square = np.einsum("nlk,nlk->nl", way, way)
+    strength = (np.sum(positions**2, axis=1) / square) ** (falloff / 2) / np.sqrt(square)
+    return Toward(way, strength[..., None], strength[..., None] * way)
 
 
 def light_ratio(
     normals: Numbers, x: Numbers, y: Numbers, positions: Numbers, mixture: Numbers, falloff: float
 ) -> Numbers:
     """Light of each channel over that at rest, (N, 3), for normals (N, 3); a light behind the surface gives nothing."""
-    light = Toward.of(x, y, positions, falloff).light
+    light = toward_lights(x, y, positions, falloff).light
     lit = np.maximum(np.einsum("nlk,nk->nl", light, normals), 0)
     ratio: Numbers = lit @ mixture.T / (light[..., 2] @ mixture.T)
     return np.maximum(ratio, LEAST_RATIO)
@@ -206,13 +201,11 @@ def light_ratio_derivatives(
     normals: Numbers, x: Numbers, y: Numbers, positions: Numbers, mixture: Numbers, falloff: float
 ) -> tuple[Numbers, Numbers, Numbers]:
     """`light_ratio` (N, 3), and its derivatives by positions (N, 3, 9) and by the mixture off the diagonal (N, 3, 6)."""
-    toward = Toward.of(x, y, positions, falloff)
-    light = toward.light
+    way, strength, light = toward_lights(x, y, positions, falloff)
     lit, rest = np.einsum("nlk,nk->nl", light, normals), light[..., 2]
-    square = np.einsum("nlk,nlk->nl", toward.way, toward.way)
+    square = np.einsum("nlk,nlk->nl", way, way)
     growth = falloff * positions / np.sum(positions**2, axis=1)[:, None]
-    growth = growth - (1 + falloff) * toward.way / square[..., None]  # of the logarithm of the strength
-    strength = toward.strength[..., None]
+    growth = growth - (1 + falloff) * way / square[..., None]  # of the logarithm of the strength
     by_lit = (strength * normals[:, None] + lit[..., None] * growth) * (lit > 0)[..., None]
     by_rest = strength * np.array([0.0, 0.0, 1.0]) + rest[..., None] * growth
     lit = np.maximum(lit, 0)
@@ -280,8 +273,8 @@ class NearLightModel(Stored, Untuned):
     def lights_at(self, x_px: Array, y_px: Array) -> Numbers:
         """Light matrices (N, 3, 3), rows (a, b, 1) for R, G, B, of equivalent fixed lights at each pixel."""
         x, y = unit_position(x_px, y_px, self.shape)
-        toward = Toward.of(x, y, 2 * self.positions_px / max(self.shape), self.falloff)
-        lights = np.einsum("cl,nlk->nck", self.mixture, toward.light)
+        light = toward_lights(x, y, 2 * self.positions_px / max(self.shape), self.falloff).light
+        lights = np.einsum("cl,nlk->nck", self.mixture, light)
         return np.asarray(lights / lights[..., 2:], dtype=np.float64)
 
     def gradients_at(self, color_change: Array, x_px: Array, y_px: Array) -> Numbers:
