@@ -66,14 +66,6 @@ def test_normals_point_to_the_camera(sphere):
     np.testing.assert_allclose(gradients, -normals[..., :2] / normals[..., 2:], atol=1e-5)
 
 
-def test_curl_of_a_surface_vanishes_and_has_a_sign(sphere):
-    _, gradients = sphere
-    assert np.abs(gelform.curl_from_gradients(gradients, mm_per_px=MM_PER_PX)[50:70, 90:110]).max() < 0.02
-    y = np.mgrid[:20, :30][0] * MM_PER_PX
-    turning = np.stack([0.1 * y, np.zeros_like(y)], axis=-1)  # dp/dy = 0.1, dq/dx = 0
-    np.testing.assert_allclose(gelform.curl_from_gradients(turning, mm_per_px=MM_PER_PX), 0.1, atol=1e-5)
-
-
 def test_a_light_brightens_the_side_that_faces_it(sphere):
     _, gradients = sphere
     right = np.array([[0.5, 0, 0.8], [-0.3, 0.5, 0.8], [-0.3, -0.5, 0.8]])

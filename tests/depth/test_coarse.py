@@ -17,8 +17,6 @@ from gelform.depth.coarse import (
     coarse_of,
 )
 from gelform.depth.integrate import depth_from_gradients
-from gelform.slopes.color_models.forward_response import TERMS, ForwardResponse, PreparedStep
-from gelform.slopes.color_models.seam import node_positions
 from gelform.slopes.gradients import gradients_from_depth
 from kernel_agreement import assert_kernel_agrees
 
@@ -174,61 +172,6 @@ def test_distances_are_those_of_opencv():
     assert_kernel_agrees(room._distance_to_chosen, by_opencv)
 
 
-SHAPE_STEPPED, UNTOUCHED = (90, 121), 0.02
-
-
-@pytest.fixture(scope="module")
-def response():
-    """Lights from three sides, stronger toward the right, and a pressed gel that is brighter."""
-    rows, columns = (len(axis) for axis in node_positions(SHAPE_STEPPED))
-    nodes = np.zeros((rows, columns, TERMS, 3))
-    nodes[:, :, 0] = [0.3, -0.15, -0.1]
-    nodes[:, :, 1] = [0.0, 0.25, -0.2]
-    nodes *= np.linspace(0.8, 1.2, columns)[:, None, None]
-    nodes[:, :, 2:5] = 0.01
-    nodes[:, :, -3] = [0.1, 0.05, 0.08]
-    nodes[:, :, -2] = 0.02
-    covariance = 1e-4 * np.array([[1.0, 0.3, 0.2], [0.3, 1.5, 0.1], [0.2, 0.1, 0.8]])
-    return ForwardResponse(nodes, covariance, SHAPE_STEPPED, (0.02, 0.1))
-
-
-def pixels():
-    """Columns and rows of all pixels, row by row."""
-    y, x = (axis.ravel() for axis in np.mgrid[: SHAPE_STEPPED[0], : SHAPE_STEPPED[1]])
-    return x, y
-
-
-@pytest.fixture(scope="module")
-def frame(response):
-    """Color change of a bump 5 px deep, its slopes, and what a color model reads there: 10 % too little."""
-    x, y = pixels()
-    depth = 5 * np.exp(-((x - 70) ** 2 + (y - 40) ** 2) / 300)
-    slopes = np.stack([70 - x, 40 - y], axis=1) * (depth / 150)[:, None]
-    change = response.color_from_gradients(slopes, x, y, depth_px=depth)
-    change += np.random.default_rng(0).normal(0, 0.002, change.shape)
-    read = (0.9 * slopes).reshape(*SHAPE_STEPPED, 2).astype(np.float32)
-    return change.reshape(*SHAPE_STEPPED, 3).astype(np.float32), read, slopes.reshape(*SHAPE_STEPPED, 2)
-
-
-def test_what_is_hidden_does_not_reach_the_steps_around_it(response, frame):
-    """Its slopes would be in the depth of the whole frame, and that in all steps."""
-    change, read, _ = frame
-    hidden = np.zeros(SHAPE_STEPPED, dtype=bool)
-    hidden[40:52, 20:32] = True
-    garbled = read.copy()
-    garbled[hidden] = 3.0
-    depth, step = CoarseDepth(SHAPE_STEPPED, UNTOUCHED), PreparedStep(response)
-    assert 4 < depth.at_pixels(change, read).max() < 5
-
-    def stepped(*maps):
-        return step(*maps[:2], depth(*maps))
-
-    plain, guarded, open_ = stepped(change, read), stepped(change, garbled, hidden), stepped(change, garbled)
-    apart = [np.abs(one.gradients - plain.gradients)[~hidden].max() for one in (guarded, open_)]
-    assert apart[0] < 0.1 * apart[1]
-    assert apart[0] < 0.003 < 0.02 < apart[1]
-
-
 ODD = (90, 121)
 
 
@@ -309,16 +252,8 @@ def test_what_hidden_pixels_show_does_not_count(name):
     measure = CoarseDepth(ODD, 0.01)
     found = measure(colored, garbled, hidden)
     np.testing.assert_allclose(found, coarse(depth), atol=0.4)
+    whole = cv2.resize(found, ODD[::-1], interpolation=cv2.INTER_LINEAR)
+    np.testing.assert_array_equal(measure.at_pixels(colored, garbled, hidden), whole)
     assert np.abs(measure(colored, garbled) - coarse(depth)).max() > 2, "what is guarded against"
     other = measure(colored[..., ::-1].copy(), np.where(hidden[..., None], -garbled, garbled), hidden)
     np.testing.assert_allclose(other, found, atol=1e-4)
-
-
-def test_slopes_and_depths_of_a_ruined_frame_give_a_finite_step(response):
-    rng = np.random.default_rng(0)
-    change = rng.normal(0, 10, (*SHAPE_STEPPED, 3)).astype(np.float32)
-    read = rng.normal(size=(*SHAPE_STEPPED, 2)) * 10 ** rng.uniform(-2, 4, (*SHAPE_STEPPED, 1))
-    depth_px = rng.uniform(0, 1e5, (22, 30)).astype(np.float32)  # such slopes add up to that
-    clipped = (rng.random((*SHAPE_STEPPED, 3)) < 0.1).astype(np.uint8)
-    for values in PreparedStep(response)(change, read.astype(np.float32), depth_px, clipped):
-        assert np.isfinite(values).all()

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from gelform.image.view import (
     FLIPS,
-    Frame,
     Lens,
     View,
     _maps_to_image,
@@ -347,9 +346,3 @@ def test_the_digest_is_of_values_shape_and_dtype_and_not_of_the_layout():
     assert pixels_digest(image.copy()) == pixels_digest(image)
     assert pixels_digest(image[:, ::-1]) == pixels_digest(np.ascontiguousarray(image[:, ::-1]))
     assert len(pixels_digest(image)) == 64
-
-
-def test_a_frame_does_not_change():
-    frame = Frame(np.zeros((2, 2, 3), dtype=np.uint8), time_s=1.0, wall_time_ns=2, index=3)
-    with pytest.raises(AttributeError):
-        frame.index = 4

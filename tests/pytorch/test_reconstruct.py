@@ -57,11 +57,6 @@ def test_medians_are_the_kernels(share):
         np.testing.assert_allclose(found[k, :, 0, 0], expected, rtol=1e-6)
 
 
-def test_the_solve_has_exact_derivatives():
-    gradients = torch.randn(2, 2, 5, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    assert torch.autograd.gradcheck(PoissonDepth((5, 6), (0.1, 0.15)).double(), gradients.requires_grad_())
-
-
 @pytest.mark.parametrize("pitch", [(0.1, 0.1), (0.1, 0.13)], ids=["square", "oblong"])
 @pytest.mark.parametrize("shape", [(7, 9), (8, 6), (1, 5), (132, 176)])
 def test_the_solve_is_that_of_the_dct_solver(shape, pitch):
@@ -207,19 +202,6 @@ def test_no_step_is_longer_than_the_longest():
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
-def test_derivatives_are_exact():
-    """By the colors and by the slopes, through the depth of the frame; where no step is cut off."""
-    shape = (6, 9)
-    step = ForwardStep(response(shape), UNTOUCHED).double()
-    rng = torch.Generator().manual_seed(0)
-    slopes = 0.1 * torch.randn(1, 2, *shape, dtype=torch.float64, generator=rng)
-    change = 0.03 * torch.randn(1, 3, *shape, dtype=torch.float64, generator=rng)
-    assert ((step(change, slopes) - slopes).norm(dim=1) < CLIPPED_STEP_SIGMA).all()
-    assert torch.autograd.gradcheck(
-        step, (change.requires_grad_(), slopes.requires_grad_()), eps=1e-7, atol=1e-5
-    )
-
-
 def test_a_gel_at_rest_has_derivatives():
     """No slope and no color: the step's length is 0, which has none of itself."""
     shape = (9, 12)
@@ -248,16 +230,6 @@ def test_depth_is_the_numpy_paths(shape, untouched):
         np.testing.assert_allclose(depth, expected, atol=2e-5 * expected.max())
         everywhere = cv2.resize(expected, shape[::-1], interpolation=cv2.INTER_LINEAR)
         np.testing.assert_allclose(full, everywhere, atol=2e-5 * expected.max())
-
-
-def test_values_of_the_coarser_grid_are_opencvs():
-    values = np.random.default_rng(0).normal(size=(30, 45, 2)).astype(np.float32)
-    ours, (rows, columns) = CoarseDepth((30, 45), 0.1), coarse.coarse_of((30, 45)).shape
-    few = ours.made_coarse(planes(values)[None])
-    means = cv2.resize(values, (columns, rows), interpolation=cv2.INTER_AREA)
-    np.testing.assert_allclose(few[0].permute(1, 2, 0), means, atol=1e-6)
-    between = cv2.resize(means, (45, 30), interpolation=cv2.INTER_LINEAR)
-    np.testing.assert_allclose(ours.in_full(few)[0].permute(1, 2, 0), between, atol=1e-6)
 
 
 def batch_of(images):

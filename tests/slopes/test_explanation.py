@@ -201,14 +201,6 @@ def test_a_fault_is_named_and_not_trusted(reconstruct, image, name):
         assert (found.confidence[spoilt] > 0.5).mean() < (0.85 if name == "compression" else 0.02)
 
 
-@pytest.mark.parametrize("name", ["marker", "outside"])
-def test_what_belongs_to_the_gel_is_named_and_nothing_else(calibration, image, name):
-    for seed in range(3):
-        own, seen = faults.printed(calibration, image, name, np.random.default_rng(seed))
-        found = gelform.Reconstructor(own).explain(seen)
-        assert {finding.name for finding in found.findings} == {name}
-
-
 def test_a_press_without_a_fault_has_no_names(reconstruct, simulated):
     """But for a few pixels at a steep rim, beyond the upper quartile of the slopes that all presses have shown."""
     for press in simulated.presses[::4]:

@@ -274,8 +274,8 @@ class Evidence:
         measures, excess = np.empty((number, 7)), np.empty(1)
         per_x, per_y = (step**2 / area for step in self.pitch)
         _region_evidence(
-            labels, depth, sigma, evidence, smooth, bent, self._influence, measures, self.length_mm**-2, per_x, per_y
-        )
+            labels, depth, sigma, evidence, smooth, bent, self._influence, measures, self.length_mm**-2, per_x, per_y,
+        )  # fmt: skip
         _variance_below(depth, sigma, excess, step=max(1, depth.size // MEDIAN_SAMPLES))
         pixels, deepest_mm, x, y, deviation, square, own_mm = measures.T
         deep = (pixels >= self.min_area_mm2 / area) & (deepest_mm > factor * deviation)

@@ -7,14 +7,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
 import pytest
 
 from gelform._native import Kernel
-from gelform.depth.integrate import depth_from_gradients, integrate
+from gelform.depth.integrate import integrate
 from gelform.depth.solvers import AtLeastSolver, MultigridSolver, SparseSolver
 from gelform.depth.solvers import weighted as native
 from gelform.depth.solvers.seam import edge_system, problem_from_gradients
@@ -340,20 +339,6 @@ def test_multigrid_remembers_neither_earlier_frames_nor_a_failure():
     solve.max_iterations = 100
     for index in (0, 1, 1, 0, 2, 0):
         assert np.array_equal(solve(*frames[index]).depth_mm, fresh[index])
-
-
-def test_threads_do_not_share_state():
-    rng = np.random.default_rng(9)
-    jobs = [(rng.standard_normal((50, 60, 2)), rng.uniform(0.01, 1, (50, 60))) for _ in range(6)]
-
-    def depth(job):
-        return depth_from_gradients(job[0], mm_per_px=0.1, weights=job[1])
-
-    expected = [depth(job) for job in jobs]
-    with ThreadPoolExecutor(4) as threads:
-        for _ in range(5):
-            for one, other in zip(threads.map(depth, jobs), expected):
-                assert np.array_equal(one, other)
 
 
 SHAPE, PITCH_AT_LEAST = (48, 64), 0.1

@@ -1,7 +1,6 @@
 """Hierarchical polynomial: exact where it can be, simple where nothing is known, the light as a clue."""
 
 import gc
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from weakref import ref
 
@@ -200,25 +199,6 @@ def test_columns_are_worked_out_once_and_end_with_their_samples(monkeypatch):
     del samples
     gc.collect()
     assert there() is None
-
-
-def test_a_fit_in_another_thread_at_any_moment_changes_nothing():
-    samples, others = ball_samples(lambertian_change, count=60), ball_samples(shading_change, count=60)
-    alone = HierarchicalModel.fit(part_of(samples), position_degrees=(1,))
-
-    class Interrupted(int):
-        """A degree at whose comparison another thread fits."""
-
-        __hash__ = int.__hash__
-
-        def __eq__(self, other):
-            with ThreadPoolExecutor(1) as pool:
-                pool.submit(HierarchicalModel.fit, others, position_degrees=(1,)).result()
-            return int(self) == int(other)
-
-    for _ in range(2):
-        found = HierarchicalModel.fit(samples, position_degrees=(Interrupted(1),))
-        np.testing.assert_array_equal(found.nodes, alone.nodes)
 
 
 def test_each_variant_is_stiffer_than_the_next():

@@ -175,7 +175,8 @@ class Toward(NamedTuple):
     """The vectors from pixels to the lights."""
 
     way: Numbers  # (N, 3 lights, 3) S - X
-    strength: Numbers  # (N, 3 lights, 1) |S|^falloff / |S - X|^(1 + falloff): 1 over the distance, at the center
+    # (N, 3 lights, 1) |S|^falloff / |S - X|^(1 + falloff): 1 over the distance, at the center
+    strength: Numbers
     light: Numbers  # (N, 3 lights, 3), their product: the factor of a normal
 
 
