@@ -19,7 +19,6 @@ from gelform.depth.integrate import (
     fitted_surface,
     integrate,
     median_over,
-    zero_region,
 )
 from gelform.depth.solvers import SOLVERS
 from gelform.errors import ConvergenceError
@@ -268,19 +267,6 @@ def test_where_the_iteration_stalls_the_frame_is_factorised():
     found, exact = (integrate(slopes, mm_per_px=0.1, weights=weights, solver=s) for s in ("auto", "sparse"))
     assert found.solver == "sparse"
     np.testing.assert_array_equal(found.depth_mm, exact.depth_mm)
-
-
-@pytest.mark.linear_algebra
-def test_regions_by_name_and_by_map():
-    assert zero_region("mean", (4, 5)).all()
-    border = zero_region("border", (4, 5))
-    assert border.sum() == 20 - 6
-    assert not border[1:-1, 1:-1].any()
-    assert zero_region("border", (2, 5)).all()
-    own = np.eye(4, dtype=bool)
-    np.testing.assert_array_equal(zero_region(own, (4, 4)), own)
-    with pytest.raises(ValueError, match="'mean', 'border' or a boolean"):
-        zero_region("middle", (4, 4))
 
 
 @pytest.mark.linear_algebra

@@ -166,12 +166,10 @@ def test_dots_are_contact_within_one_and_nowhere_else():
 def test_a_depth_that_is_not_sure_is_no_contact():
     """The same press with a depth that exceeds its own deviation by far, and hardly."""
     depth, *_ = cap(depth_mm=0.3)
-    slopes = SlopeDeviations(*np.full((2, *depth.shape), 0.005, np.float32), np.ones(depth.shape, bool))
-    sensor = PreparedContact((PITCH, PITCH), 0.6, np.full(depth.shape, 0.005**2, np.float32), CORRELATION)
     for sigma, found in ((0.02, True), (0.12, False)):
-        contact = sensor(depth.astype(np.float32), np.full(depth.shape, sigma, np.float32), slopes)
-        assert contact.any() == found
-        assert not sensor(-depth.astype(np.float32), np.full(depth.shape, sigma, np.float32), slopes).any()
+        how = {"mm_per_px": PITCH, "depth_sigma_mm": np.full(depth.shape, sigma)}
+        assert contact_from_depth(depth, **how).any() == found
+        assert not contact_from_depth(-depth, **how).any()
 
 
 @pytest.mark.parametrize("dots", [False, True])

@@ -264,6 +264,15 @@ def test_the_fit_agrees_with_numpy(is_free):
     assert_kernel_agrees(light._fit_light, step_by_numpy, *given_light, 0.02, 0.001, 1.0, 0.6, 31.0, 10.0)
 
 
+@pytest.mark.parametrize("shape", [(60, 80), (120, 160), (240, 320), (132, 176)])
+def test_blocks_are_rounded_as_opencv_rounds_them(shape):
+    """Halves of 2x2 pixels up, of more to even; 132x176 has fractions of pixels."""
+    image = np.random.default_rng(5).integers(0, 256, (*shape, 3), dtype=np.uint8)
+    found = block_means(image)
+    expected = cv2.resize(image, found.shape[1::-1], interpolation=cv2.INTER_AREA)
+    np.testing.assert_array_equal(found, expected)
+
+
 @pytest.mark.parametrize(("shape", "step"), [((24, 32), 8), ((30, 45), 15), ((12, 21), 3)])
 def test_the_means_of_bytes_are_those_of_opencv(shape, step):
     image = np.random.default_rng(5).integers(0, 256, (*shape, 3), dtype=np.uint8)

@@ -11,6 +11,8 @@ A background and an image with a contact.
 A background image with a camera's noise, and damaged frames of the same gel.
 
 A camera's frame whose view is an image.
+
+A box of a frame, where something is known of its slopes.
 """
 
 from dataclasses import replace
@@ -173,3 +175,13 @@ def frame_from_image(image, view):
     places = image_px_from_frame_px(pixel_positions(view.frame_shape), view)
     map_x, map_y = places.T.reshape(2, *view.frame_shape).astype(np.float32)
     return cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+PATCHED = (40, 72)
+
+
+def patch(box=np.s_[10:20, 30:44]):
+    """A mask (H, W), True in the box."""
+    mask = np.zeros(PATCHED, dtype=bool)
+    mask[box] = True
+    return mask

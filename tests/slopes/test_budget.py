@@ -34,8 +34,10 @@ from gelform.slopes.budget import (
 from gelform.slopes.gradients import STEEPEST_GEL
 from gelform.slopes.sigma import SlopeSigma
 from kernel_agreement import assert_kernel_agrees
+from made.images import PATCHED as SHAPE
+from made.images import patch
 
-SHAPE, CLEAN = (40, 72), 0.05
+CLEAN = 0.05
 LAW = SlopeSigma(
     rest=0.01, per_step=0.03, per_slope=2.0, solved_factor=0.8, shown=(0.3, 0.5), full_confidence_sigma=CLEAN,
     correlation_px=8.0,
@@ -43,13 +45,6 @@ LAW = SlopeSigma(
 CHANGE = ChangeSettings(blur_px=1.25)  # compared with slopes 2 px away
 GRAY = np.full((*SHAPE, 3), 100, np.float32)
 NOTHING = Reference(np.zeros(3, np.float32), 0.0, np.zeros(2, np.float32), None, ())  # no pixel is at rest
-
-
-def patch(box=np.s_[10:20, 30:44]):
-    """A mask (H, W), True in the box."""
-    mask = np.zeros(SHAPE, dtype=bool)
-    mask[box] = True
-    return mask
 
 
 def slopes_of(size=0.0, at_rest=False, **more):

@@ -10,15 +10,8 @@ from confidence import faults
 from gelform.simulate import Ball, Punch, simulate_press
 from gelform.slopes.budget import LEAST_WEIGHT, Budget, Explanation, Shown, explanation_of
 from gelform.slopes.sigma import CAUSES
-
-SHAPE = (40, 72)
-
-
-def patch(box=np.s_[10:20, 30:44]):
-    """A mask (H, W), True in the box."""
-    mask = np.zeros(SHAPE, dtype=bool)
-    mask[box] = True
-    return mask
+from made.images import PATCHED as SHAPE
+from made.images import patch
 
 
 def explained(**causes):

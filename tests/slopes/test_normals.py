@@ -178,6 +178,8 @@ def test_the_kernel_of_curl_agrees_with_numpy():
         return np.array([(0.25 * turn.astype(float) ** 2)[inner].sum(), inner.sum()])
 
     assert_kernel_agrees(gradients._curl_squares, numpy_squares)
+    slopes = np.random.default_rng(0).normal(size=(1, 5, 6, 2)).astype(np.float32)
+    assert gradients.curl_rms(slopes, np.zeros((1, 5, 6), bool)) == 0 < gradients.curl_rms(slopes, None)
 
 
 def test_smoothing_takes_noise_and_keeps_an_edge():

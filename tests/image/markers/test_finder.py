@@ -101,6 +101,14 @@ def test_shifts_to_hundredths_of_a_pixel(shift, light, how, tolerance_px):
 
 
 @pytest.mark.linear_algebra
+@pytest.mark.parametrize(("shape", "side_px"), [((20, 30), 19), ((40, 30), 25)])
+def test_a_patch_is_no_larger_than_the_image(shape, side_px):
+    """Twice 1.35 radii, a pixel on each side, and the middle: 25 px."""
+    logs = logs_from_image(image_of_dots([(15, 10)], radii=8.0, shape=shape))
+    assert MarkerPatches(logs, np.array([[15.0, 10.0]]), 8.0).side_px == side_px
+
+
+@pytest.mark.linear_algebra
 def test_dots_that_are_gone_are_not_ok():
     image = logs_from_image(image_of_dots(np.delete(REST, [5, 20], axis=0), noise=1.0, seed=2))
     found = prepared(noise=1.0)(image, np.zeros_like(REST))

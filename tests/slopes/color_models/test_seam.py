@@ -57,21 +57,27 @@ def model_of(name):
 
 
 @pytest.mark.parametrize("name", COLOR_MODELS)
-def test_no_color_change_means_no_slope(name):
-    model = model_of(name)
-    prepared = model.prepare(np.full((*SHAPE, 3), 100, np.float32), SHAPE)
-    gradients, _ = prepared.gradients_from_color(np.zeros((*SHAPE, 3), dtype=np.float32))
-    np.testing.assert_allclose(gradients, 0, atol=1e-6)
-
-
-@pytest.mark.parametrize("name", COLOR_MODELS)
-def test_a_frame_equals_its_pixels_one_by_one(name):
+def test_a_frame_equals_its_pixels_one_by_one_and_no_color_change_means_no_slope(name):
     model = model_of(name)
     change = np.random.default_rng(1).uniform(-0.3, 0.3, (*SHAPE, 3)).astype(np.float32)
+    change[::5] = 0
     frame, _ = model.prepare(np.full((*SHAPE, 3), 100, np.float32), SHAPE).gradients_from_color(change)
     y, x = (axis.ravel() for axis in np.mgrid[: SHAPE[0], : SHAPE[1]])
     pixels = model.gradients_at(change.reshape(-1, 3), x, y)
     np.testing.assert_allclose(frame.reshape(-1, 2), pixels, atol=2e-5)
+    np.testing.assert_allclose(frame[::5], 0, atol=1e-6)
+
+
+# RMS of the slopes of unseen pixels; without the place a cubic is off by 0.018 and a table by 0.014.
+FOLLOWED = {"polynomial": 0.001, "hierarchical": 0.003, "interpolation": 0.012, "mlp": 0.025, "lookup": 0.005}
+
+
+@pytest.mark.linear_algebra
+@pytest.mark.parametrize("name", FOLLOWED)
+def test_lights_that_turn_over_the_image_are_followed(name):
+    unseen = ball_samples(shading_change, seed=4)
+    found = model_of(name).gradients_at(unseen.color_change, unseen.x_px, unseen.y_px)
+    assert np.sqrt(np.mean((found - unseen.gradients) ** 2)) < FOLLOWED[name]
 
 
 @pytest.mark.parametrize("name", COLOR_MODELS)
@@ -144,18 +150,6 @@ def test_images_of_another_size_are_refused(name):
     check_image_shape((48, 64), (48, 64))
     with pytest.raises(ValueError, match="Expected images of 48x64 px, as imported, got 64x48"):
         check_image_shape((64, 48), (48, 64), made="imported")
-
-
-@pytest.mark.linear_algebra
-def test_it_follows_lights_that_turn_over_the_image():
-    unseen = ball_samples(shading_change, seed=4)
-    errors = {}
-    for degrees in ((0,), (4, 3, 1)):
-        model = PolynomialModel.fit(ball_samples(shading_change), position_degrees=degrees)
-        found = model.gradients_at(unseen.color_change, unseen.x_px, unseen.y_px)
-        errors[degrees] = np.sqrt(np.mean((found - unseen.gradients) ** 2))
-    assert errors[(4, 3, 1)] < 0.03
-    assert errors[(4, 3, 1)] < 0.3 * errors[(0,)]
 
 
 @pytest.mark.linear_algebra
@@ -325,6 +319,8 @@ def test_columns_are_penalised_by_their_degree_in_place(samples):
     two = VaryingRegression.of([Term(np.ones(6000), 0, 3.0, True)] * 2, law(samples), lit)
     assert two.penalties.tolist() == [3, *[3 * PLACE_GROWTH] * 3] * 2
     assert two.ends.tolist() == [4, 8]
+    flat = replace(samples, shape=(1, SHAPE[1]), y_px=0 * samples.y_px)
+    assert np.isfinite(regression(flat, law(flat)).columns).all(), "of a single row"
     unlit = regression(samples, law(samples), varies_with_light=True)
     assert unlit.columns.shape[1] == 6, "of no light nothing varies"
 
