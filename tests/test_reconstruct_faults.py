@@ -284,15 +284,6 @@ def test_no_claim_of_confidence_but_for_clipped_pixels(bare, image):
     assert (result.confidence[~reached] == 1).all()
 
 
-def test_the_file_of_a_bare_calibration(bare, image, tmp_path):
-    bare.save(tmp_path / "bare.npz")
-    again = gelform.load_calibration(tmp_path / "bare.npz")
-    assert again.digest == bare.digest
-    assert (again.mm_per_px, again.forward, again.slope_sigma) == (None, None, None)
-    a, b = (gelform.Reconstructor(one)(image).depth_px for one in (bare, again))
-    np.testing.assert_array_equal(a, b)
-
-
 def test_the_file_of_a_result_in_pixels_and_of_one_in_mm(bare, calibration, image, tmp_path):
     path = tmp_path / "result.npz"
     in_px, in_mm = (bare, "depth_px", {"depth_mm", "mm_per_px"}), (calibration, "depth_mm", {"depth_px"})

@@ -125,7 +125,13 @@ def orientation_from_blocks(image: Map, untouched: Map) -> Orientation | None:
     change, lit = _log_change(np.stack([one.undone(image) for one in fitting]), untouched)
     if not lit.any():
         return None
-    evidence = _evidence(change, lit, _terms(shape))
+    terms, prior = of_place = _terms(shape)
+    share = ALIKE / np.maximum(lit.sum(axis=1), 1)
+    light, normal = _fitted_light(change, lit, of_place)
+    explained = np.where(lit, np.logaddexp(*_log_likelihoods(change - terms @ light)), 0).sum(axis=1) * share
+    apart = (prior[None, :, None] * light**2).sum(axis=(1, 2)) / 2
+    narrowed = np.linalg.slogdet(normal)[1] - np.log(prior).sum()
+    evidence = explained - apart - 1.5 * narrowed  # of each reading, in nats
     order = np.argsort(evidence)[::-1]
     first = evidence[order[0]]
     unexplained = float(ALIKE * _log_likelihoods(change[lit])[1].mean())  # if no reading explains the image
@@ -170,17 +176,6 @@ def _terms(shape: tuple[int, int]) -> tuple[Numbers, Numbers]:
     return terms, np.array([LIGHT_SIGMAS[i + j] ** -2 for i, j in powers])
 
 
-def _evidence(change: Numbers, lit: Mask, of_place: tuple[Numbers, Numbers]) -> Numbers:
-    """Evidence (readings,) of the log changes (readings, N, 3) of lit blocks (readings, N), in nats."""
-    terms, prior = of_place
-    share = ALIKE / np.maximum(lit.sum(axis=1), 1)
-    light, normal = _fitted_light(change, lit, of_place)
-    explained = np.where(lit, np.logaddexp(*_log_likelihoods(change - terms @ light)), 0).sum(axis=1) * share
-    apart = (prior[None, :, None] * light**2).sum(axis=(1, 2)) / 2
-    narrowed = np.linalg.slogdet(normal)[1] - np.log(prior).sum()
-    return np.asarray(explained - apart - 1.5 * narrowed)
-
-
 def _fitted_light(change: Numbers, lit: Mask, of_place: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
     """Coefficients (readings, 10, 3) of the light that explains most blocks, and their inverse covariance."""
     terms, prior = of_place
@@ -214,7 +209,6 @@ PATTERN_WARN, PATTERN_REFUSE = 0.02, 0.053
 # Fraction of a background image in one region that no light explains: two moments at rest 0.015 or less (223 pairs of a
 # Mini, a wedge and a DIGIT), presses 0.033 or more on six sensors and 0.014-0.05 on a GelSlim.
 TOUCHED_SHARE = 0.025
-TOUCHED_IN_CONTACT = 0.015  # the same where the calibration shows contact
 OTHER_SENSOR = "The calibration is not of the sensor that took this background"
 OWN_CALIBRATION = (
     "If frames agree with this background, no new one helps: use this sensor's own calibration. If it is the same unit, its "
@@ -264,7 +258,7 @@ def check_untouched(background: Array, calibrated: Array, contact: Mask | None =
     """
     share, center = largest_touch(block_means(background), block_means(calibrated))
     x, y = (int(part * size) for part, size in zip(center, background.shape[1::-1]))
-    if share > (TOUCHED_SHARE if contact is None or not contact[y, x] else TOUCHED_IN_CONTACT):
+    if share > (TOUCHED_SHARE if contact is None or not contact[y, x] else 0.015):
         raise CalibrationError(
             f"Something touches the gel in this background image, about ({x}, {y}) px: {100 * share:.1f} % of it "
             "differ from the calibration's as no light does. Take it again, with nothing touching the gel. If the gel is "

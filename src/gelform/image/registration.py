@@ -26,11 +26,8 @@ from gelform.foundations.information import determined_by
 # Standard deviations of the blurs, px, coarse to fine; the first still finds a shift of about 8 px.
 BLURS_PX = (6.0, 3.0, 1.5, 1.5)
 PRIOR_PX = 5.0  # px, standard deviation of an unknown motion at the image's corners
-# px, and fraction by which a touch changes the mean level of its surroundings.
-TOUCH_BLUR_PX, TOUCHED = 8.0, 0.02
 # Rows and columns of blocks whose residuals count as independent; they are larger than texture.
 BLOCKS = (8, 10)
-MIN_UNTOUCHED = 0.1  # fraction of the image; less does not determine four motions and six terms of light
 # Phase correlation for the start of the fit: texture finer than this Gaussian, px; smallest peak; longest shift, px.
 FINE_PX, MIN_RESPONSE, MOST_PX = 4.0, 0.08, 12.0
 STEP = 1 / 32  # px, the finest step of cv2.remap
@@ -116,7 +113,7 @@ class PreparedRegistration:
             motion[:2] = np.round(motion[:2] / STEP) * STEP
             used = self._untouched(self._moved_back(logs, motion) - self._logs, touched)
             fraction = float(used.mean())
-            if fraction < MIN_UNTOUCHED:
+            if fraction < 0.1:  # less does not determine four motions and six terms of light
                 return _registration(np.zeros(4), PRIOR_PX**2 * np.eye(4), self._half, 0.0)
             change, covariance = self._fit(logs, motion, blur, used)
             motion = motion + change
@@ -143,9 +140,11 @@ class PreparedRegistration:
 
     def _untouched(self, change: Map, touched: Mask | None) -> Mask:
         """Pixels (H, W) whose surroundings are as bright as before, up to a common factor; the border is excluded."""
-        smooth = cv2.GaussianBlur(change, (0, 0), TOUCH_BLUR_PX)
+        smooth = cv2.GaussianBlur(change, (0, 0), 8.0)
         away = np.abs(smooth - np.median(smooth))
-        used = away < max(TOUCHED, 3 * float(np.median(away)))
+        used = away < max(
+            0.02, 3 * float(np.median(away))
+        )  # a touch changes the mean level around it by more
         if touched is not None:
             used &= ~touched
         margin = int(2 * BLURS_PX[0])

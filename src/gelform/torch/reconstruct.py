@@ -10,11 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gelform import GelformError, markers_from_image
+from gelform import CalibrationError, GelformError, markers_from_image
 from gelform.arrays import Array, Map
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.depth.coarse import coarse_of
-from gelform.errors import CalibrationError
 from gelform.foundations.checks import HIGHEST_SLOPE, check_image
 from gelform.foundations.filters import CHANGE_OFFSET, MIN_UNTOUCHED, blur_taps, lattice_step
 from gelform.image.background import EXPOSURE_STEP_PX, ChangeSettings, gain_from_background, linear_light

@@ -112,11 +112,19 @@ class ForwardResponse(Stored):
         its own instead of to 0.
         """
         assert samples.depth_px is not None
-        g, z, target = samples.gradients, samples.depth_px, samples.color_change
+        g, target = samples.gradients, samples.color_change
         from_nodes = 0 if start is None else start.nodes
         if start is not None:
-            target = target - start.color_from_gradients(g, samples.x_px, samples.y_px, depth_px=z)
-        regression = VaryingRegression.of(_terms(g, z), target, samples)
+            at = samples.x_px, samples.y_px
+            target = target - start.color_from_gradients(g, *at, depth_px=samples.depth_px)
+        v, z = normal_terms(g), np.asarray(samples.depth_px, dtype=np.float64) / DEPTH_UNIT_PX
+        orders = [len(term) for term in _POWERS]
+        terms = [
+            *terms_of_orders(monomial_products(v.T, _POWERS), orders, PLACE_DEGREES),
+            Term(z, 4, ORDER_GROWTH),
+            *(Term(z * one, 0, ORDER_GROWTH**2) for one in v.T),
+        ]
+        regression = VaryingRegression.of(terms, target, samples)
         pressed = np.any(g != 0, axis=1)[:: round(len(samples.x_px) / len(regression.target))]
         found = []
         for ridge in ridges:
@@ -203,13 +211,3 @@ def normal_terms(gradients: Array) -> Numbers:
     slopes = np.asarray(gradients, dtype=np.float64)
     length = np.sqrt(1 + np.sum(slopes**2, axis=-1, keepdims=True))
     return np.asarray(slopes / (NORMAL_UNIT * length))
-
-
-def _terms(gradients: Array, depth_px: Array) -> list[Term]:
-    v, z = normal_terms(gradients), np.asarray(depth_px, dtype=np.float64) / DEPTH_UNIT_PX
-    orders = [len(term) for term in _POWERS]
-    return [
-        *terms_of_orders(monomial_products(v.T, _POWERS), orders, PLACE_DEGREES),
-        Term(z, 4, ORDER_GROWTH),
-        *(Term(z * one, 0, ORDER_GROWTH**2) for one in v.T),
-    ]
