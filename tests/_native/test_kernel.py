@@ -171,9 +171,8 @@ CTYPES = {
     "i64": "int64_t",
     "bool": "bool",
 }
-NOT_KERNELS = {"cpu_level", "sources_digest", "version_digest", "finite_f32"} | {
-    "multigrid_plane"
-}  # called by the door itself; by a test
+# Called by the door itself; the last by a test.
+NOT_KERNELS = {"cpu_level", "sources_digest", "version_digest", "finite_f32", "multigrid_plane"}
 
 MARK_DECLARATIONS = pytest.mark.skipif(
     not NATIVE.is_dir(), reason="gelform is installed without its C sources"

@@ -152,16 +152,6 @@ class Parameter:
         """Whether it is memory that C owns."""
         return self.axes is None and self.kind not in NUMBERS
 
-    @property
-    def ctype(self) -> Any:
-        """The type that ctypes converts it to."""
-        return NUMBERS[self.kind] if self.axes is None and not self.is_handle else ctypes.c_void_p
-
-    @property
-    def plain_dtype(self) -> Any:
-        """The dtype of arrays that need no further check if they are writeable and in C order; None: all need one."""
-        return DTYPES.get(self.kind) if self.axes is not None and self.role != "finite" else None
-
     def pointer(self, array: Any) -> Any:
         """An array in C's form: of the declared dtype, in C order.
 
@@ -241,7 +231,12 @@ class Kernel:
         self.parameters = parameters_of(declaration)
         self.sizes = sizes_of(self.parameters)
         self._names = tuple(parameter.name for parameter in self.parameters)
-        self._arrays = [(i, p, p.plain_dtype) for i, p in enumerate(self.parameters) if p.axes is not None]
+        # With the dtype of arrays that need no further check if they are writeable and in C order; None: all need one.
+        self._arrays = [
+            (i, p, DTYPES[p.kind] if p.role != "finite" else None)
+            for i, p in enumerate(self.parameters)
+            if p.axes is not None
+        ]
         self._handles = [(i, p) for i, p in enumerate(self.parameters) if p.is_handle]
         self._sizes_of_shapes: dict[tuple[tuple[int, ...] | None, ...], tuple[int, ...]] = {}
         self._isa = isa
@@ -307,7 +302,9 @@ class Kernel:
 
     def _load(self) -> Any:
         function = getattr(library(self._isa or instruction_set()), self.name)
-        function.argtypes = [*(p.ctype for p in self.parameters), *(ctypes.c_ssize_t for _ in self.sizes)]
+        pointer = ctypes.c_void_p
+        types = [pointer if p.axes is not None else NUMBERS.get(p.kind, pointer) for p in self.parameters]
+        function.argtypes = [*types, *(ctypes.c_ssize_t for _ in self.sizes)]
         function.restype = ctypes.c_int
         self._function = function
         return function
