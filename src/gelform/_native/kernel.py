@@ -57,11 +57,8 @@ _SUFFIX = ".dll" if sys.platform == "win32" else ".so"
 def library(isa: str) -> CDLL:
     """The kernels compiled for one instruction set, loaded once.
 
-    Raises
-    ------
-    GelformError
-        The file is missing or cut off; made for another platform, another version, or from C sources other than
-        the present ones; or the processor lacks the instructions. The message says what to do.
+    GelformError: the file is missing or cut off; made for another platform, another version, or from C sources other than
+    the present ones; or the processor lacks the instructions. The message says what to do.
     """
     if isa not in ISAS:
         raise ValueError(f"Expected GELFORM_ISA to be one of {', '.join(ISAS)}, got {isa!r}.")
@@ -249,13 +246,8 @@ class Kernel:
     def __call__(self, *arguments: Any, **named: Any) -> int:
         """Call the kernel with its parameters in order, or by name after the first ones; return C's value.
 
-        Raises
-        ------
-        TypeError, ValueError
-            Arguments are missing, too many or of other names; an array's dtype, shape or order is not as declared, or does
-            not fit the handle.
-        MemoryError
-            C could not allocate.
+        TypeError, ValueError: arguments are missing, too many or of other names; an array's dtype, shape or order is not as
+        declared, or does not fit the handle. MemoryError: C could not allocate.
         """
         if named:
             rest = self._names[len(arguments) :]

@@ -376,14 +376,10 @@ def check_anchor(anchor: ArrayLike, shape: tuple[int, int]) -> Map:
 
 
 class FrameDepth:
-    """Depth for the frames of one calibration. It is immutable; threads can share it.
+    """Depth for frames (H, W) of one calibration, with a pitch in mm per pixel. It is immutable; threads can share it.
 
-    Parameters
-    ----------
-    shape : (H, W)
-    pitch : mm per pixel
-    solver : a checked name; one that treats all slopes alike uses neither weights nor anchor
-    full_confidence_sigma : standard deviation of a slope of confidence 1, mm/mm
+    A solver that treats all slopes alike uses neither weights nor anchor. Slopes of confidence 1 have the deviation
+    `full_confidence_sigma`, mm/mm.
     """
 
     def __init__(

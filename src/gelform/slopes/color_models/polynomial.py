@@ -207,10 +207,7 @@ class HierarchicalModel(Stored):
         return [{"ridge": ridge} for ridge in RIDGES]
 
     def of_other_unit(self, gain: Numbers, wider: float) -> HierarchicalModel:
-        """The model of a unit whose color changes are smaller by a gain (rows, columns, 3) at its nodes.
-
-        Its pixels are `wider` times as wide on the gel.
-        """
+        """As `StartableModel.of_other_unit`."""
         factors = [gain[..., list(term)].prod(axis=-1) for term in monomials(3, self.degree)]
         nodes = nodes_at_scale(self.nodes, self.shape, wider)
         return replace(self, nodes=nodes * np.stack(factors, axis=-1)[..., None])
