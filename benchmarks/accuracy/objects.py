@@ -160,7 +160,7 @@ def anchor(quick: bool) -> dict[str, Any]:
 
 def _anchored(reconstruct: gelform.Reconstructor, press: Any) -> dict[str, float]:
     """The face's depth over the true one, from true slopes and recovered ones, without and with the anchor."""
-    read, calibration = reconstruct.record(press.image)[0].slopes, reconstruct.calibration
+    read, calibration = reconstruct.record(press.image).slopes, reconstruct.calibration
     at_rest, full = read.at_rest, calibration.slope_sigma.full_confidence_sigma
     pitch = calibration.known_mm_per_px
     anchor = RestAnchor(calibration.image_shape, pitch, full)

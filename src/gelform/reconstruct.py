@@ -162,6 +162,7 @@ class FrameRecord:
     depth_mm: Map  # (H, W), within the limit
     known: Mask
     findings: tuple[Finding, ...]  # those that are known with the depth
+    albedo: Callable[[], Map] | None  # (H, W), if the color model gives it
 
     @once
     def gradients(self) -> Slopes:
@@ -384,12 +385,10 @@ class Reconstructor:
         CalibrationError
             The background is clearly not of this image, or the image is mirrored, turned or BGR.
         """
-        return self.result(*self.record(image, markers))
+        return self.result(self.record(image, markers))
 
-    def record(
-        self, image: ArrayLike, markers: MarkerFlow | None = None
-    ) -> tuple[FrameRecord, Callable[[], Map] | None]:
-        """The solved depth of an image and all that the rest of its result follows from, with a function for its albedo.
+    def record(self, image: ArrayLike, markers: MarkerFlow | None = None) -> FrameRecord:
+        """The solved depth of an image and all that the rest of its result follows from.
 
         Arguments and errors are those of `from_image`.
         """
@@ -405,7 +404,7 @@ class Reconstructor:
         lost = seen.faults.lost
         known = solution.known if lost is None else solution.known & ~lost
         findings = (*self.findings, *seen.findings, *at_bias, *too_deep)
-        return FrameRecord(fixed, today, seen, slopes, solution, depth_mm, known, findings), albedo
+        return FrameRecord(fixed, today, seen, slopes, solution, depth_mm, known, findings, albedo)
 
     def _seen(self, raw: Array, flow: MarkerFlow | None) -> SeenImage:
         """An image with its faults, markers, light and unusable channels."""
@@ -437,7 +436,7 @@ class Reconstructor:
         slopes = ReadSlopes(gradients, at_rest, seen.unseen, variance, residual, of_model, fixed.outlier)
         return slopes, reference.findings
 
-    def result(self, record: FrameRecord, albedo: Callable[[], Map] | None) -> Reconstruction:
+    def result(self, record: FrameRecord) -> Reconstruction:
         """The result of a record: its depth, and the rest on first use."""
         lock, calibration, slopes = RLock(), self.calibration, record.slopes
         later: dict[str, Any] = {name: Later(partial(getattr, record, name), lock) for name in ON_DEMAND}
@@ -453,7 +452,7 @@ class Reconstructor:
             markers=record.seen.flow,
             calibration_digest=calibration.digest,
             force_model=calibration.force,
-            albedo_source=albedo,
+            albedo_source=record.albedo,
             difference_source=None if record.fixed.depth_sigma is None else record.difference_sigma,
             **later,
         )
@@ -463,7 +462,7 @@ class Reconstructor:
 
         It is of the slopes as read, and takes longer than a frame. Image and errors are those of `from_image`.
         """
-        record, _ = self.record(image)
+        record = self.record(image)
         seen, slopes, today = record.seen, record.slopes, self._today
         change = today.untouched_image.change(seen.image, seen.light)
         shown = Shown(

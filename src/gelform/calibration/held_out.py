@@ -266,8 +266,8 @@ def _reconstructed(
     own = replace(own, clipped=known.clipped, residual_scale=known.residual_scale)
     reconstruct = Reconstructor(replace(draft, color_model=reader.model, forward=own, change=change))
     for i in fold.held_out:
-        record, albedo = reconstruct.record(presses.presses[i].image)
-        result = reconstruct.result(record, albedo)
+        record = reconstruct.record(presses.presses[i].image)
+        result = reconstruct.result(record)
         # The circle found in the press alone, with the center of the solved slopes; its radius is not refined.
         found = prepared[i].found
         rows, cols = prepared[i].pixels(found, ZONE, PRESS_PIXELS)
