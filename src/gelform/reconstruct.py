@@ -131,7 +131,6 @@ class SeenImage(NamedTuple):
     markers: Mask | None
     hidden: Mask | None
     clipped: Clipped
-    unseen: Mask | None  # pixels without gel or with too few usable channels
     light: FrameLight
     findings: tuple[Finding, ...]
 
@@ -418,22 +417,22 @@ class Reconstructor:
         light, drifted = today.untouched_image.compare(image)
         hidden = either(markers, faults.lost)
         clipped = today.clipped(as_levels(image), hidden)
-        unseen = either(either(hidden, clipped.unseen), today.outside)
         findings = *faults.findings, *drifted
-        return SeenImage(raw, image, faults, flow, markers, hidden, clipped, unseen, light, findings)
+        return SeenImage(raw, image, faults, flow, markers, hidden, clipped, light, findings)
 
     def _read(self, seen: SeenImage, change: Map) -> tuple[ReadSlopes, tuple[Finding, ...]]:
         """The slopes that an image's colors mean, without their bias, and findings; the color change goes to `change`."""
         fixed, today = self._calibrated, self._today
         pending = today.untouched_image.pending(seen.image, seen.light)
         direct, model_sigma = gradients_from_pending(today.model, pending, out=change)
-        hidden = either(seen.hidden, seen.clipped.unseen)
-        gradients, variance, residual = fixed.stepped(change, direct, hidden, seen.clipped.channels)
+        unseen = either(seen.hidden, seen.clipped.unseen)
+        gradients, variance, residual = fixed.stepped(change, direct, unseen, seen.clipped.channels)
         untouched = self.calibration.untouched_change
         reference = reference_from_color_change(change, gradients, untouched, seen.hidden)
         at_rest = without_bias(change, gradients, reference, seen.hidden)
         of_model = None if model_sigma is None else np.ascontiguousarray(model_sigma.max(axis=-1))
-        slopes = ReadSlopes(gradients, at_rest, seen.unseen, variance, residual, of_model, fixed.outlier)
+        unseen = either(unseen, today.outside)
+        slopes = ReadSlopes(gradients, at_rest, unseen, variance, residual, of_model, fixed.outlier)
         return slopes, reference.findings
 
     def result(self, record: FrameRecord) -> Reconstruction:
