@@ -17,7 +17,6 @@ from gelform.image.view import (
     View,
     _maps_to_image,
     averaged,
-    box_centers,
     frame_px_from_image_px,
     image_from_frame,
     image_px_from_frame_px,
@@ -195,23 +194,11 @@ def test_squared_pixels_are_as_wide_as_high(pitch, flip, turn):
     in_frame = pitch if turn == "none" else pitch[::-1]
     steps = np.linalg.norm((at[1:3] - at[0]) * in_frame, axis=1)
     np.testing.assert_allclose(steps, max(pitch), rtol=1e-9)
-    _, _, width, height = squared.crop
+    left, top, width, height = squared.crop
+    assert (left + width / 2, top + height / 2) == pytest.approx((3.5 + 130 / 2, 2 + 91 / 2))
     lost = (130 - width) * in_frame[0], (91 - height) * in_frame[1]
     assert 0 <= min(lost) <= max(lost) < max(pitch)
     assert image_from_frame(np.zeros((97, 141, 3), np.uint8), squared).shape[:2] == squared.shape
-
-
-@given(st.integers(4, 60), st.integers(1, 60), st.booleans(), st.data())
-def test_centers_lie_evenly_within_the_part(available, count, flipped, data):
-    start = data.draw(st.floats(0, available - 2))
-    length = data.draw(st.floats(1, available - start))
-    centers, cut, box = box_centers(start, length, available, count, flipped)
-    in_frame = (centers + 0.5) * box - 0.5 + cut.start
-    edges = np.linspace(start, start + length, count + 1) - 0.5
-    expected = (edges[1:] + edges[:-1]) / 2
-    np.testing.assert_allclose(in_frame, expected[::-1] if flipped else expected, atol=1e-9)
-    assert 0 <= cut.start < cut.stop <= available
-    assert 1 <= box <= max(1, length / count + 0.5)
 
 
 def test_averages_are_means_of_boxes_and_repeat_the_border():
@@ -323,7 +310,7 @@ def test_the_image_shows_what_the_points_say_and_they_come_back(view):
         ({"lens": {"camera": [0, 200, 1, 1]}}, "focal lengths > 0"),
         ({"lens": {"camera": [200, 0, 1, 1]}}, "focal lengths > 0"),
         ({"lens": {"camera": CAMERA, "perspective": [1, 0, 0, 0, 1, 0, 0, 0, 1, 0]}}, "9 finite numbers"),
-        ({"lens": {"camera": CAMERA, "distortion": [0] * 8}}, "up to 5 finite numbers"),
+        ({"lens": {"camera": CAMERA, "distortion": [0] * 6}}, "up to 5 finite numbers"),
         ({"lens": {"camera": CAMERA, "perspective": [1, 0, 0, 1, 0, 0, 0, 0, 1]}}, "singular"),
         ({"lens": {"camera": CAMERA, "distortion": ["a"]}}, r"distortion as .* numbers, got \['a'\]"),
         ({"lens": {"distortion": [0.1]}}, "camera is needed"),
