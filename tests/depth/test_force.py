@@ -99,8 +99,9 @@ def test_dots_that_turn_slide_and_tilt():
     moved = np.column_stack([turned + np.array([0.3, -0.2]), 0.1 + at @ (0.05, -0.04)])
     motion = touch_from_dots(GRID, moved).dots
     assert motion == pytest.approx((0.3, -0.2, np.sin(angle), 0.05, -0.04), abs=1e-12)
-    flat = touch_from_dots(GRID, moved[:, :2]).dots
-    assert flat == pytest.approx((0.3, -0.2, np.sin(angle), 0, 0), abs=1e-12)
+    flat = touch_from_dots(np.column_stack([GRID, 0 * at[:, 0]]), moved[:, :2])
+    assert flat.dots == pytest.approx((0.3, -0.2, np.sin(angle), 0, 0), abs=1e-12)
+    np.testing.assert_array_equal(flat.rest_mm, GRID)
 
 
 def test_the_dots_of_a_result_rise_with_its_depth():
@@ -172,8 +173,12 @@ def test_torsion_is_none_of_the_volume():
 
 REFUSED = [
     ("normal", pressed(outside_change=0.3), "soft"),
-    ("normal", pressed(confidence=np.full(SHAPE, 0.49, np.float32)), "low confidence"),
-    ("normal", replace(pressed(), depth_sigma_mm=np.full(SHAPE, 0.21, np.float32)), "an uncertain volume"),
+    ("normal", pressed(confidence=np.full(SHAPE, 0.49, np.float32)), "in the contact is 0.49"),
+    (
+        "normal",
+        replace(pressed(), depth_sigma_mm=np.full(SHAPE, 0.21, np.float32)),
+        "deviation is 42 % of it",
+    ),
     ("normal", pressed(np.s_[0:10, 30:50]), "at the border"),
     ("normal", pressed(depth_mm=3.1), "beyond the calibrated range"),
     ("normal", pressed(depth_mm=0), "no contact"),
@@ -352,6 +357,7 @@ def test_with_few_loads_only_k_t():
     (kx, *others), (zero, ky, *more) = model.shear.weights
     assert kx == ky == pytest.approx(-1.45, abs=0.2)
     assert not any((*others, zero, *more))
+    assert np.flatnonzero(model.torsion.weights).tolist() == [2], "of the turn"
     assert model.shear.relative >= 0.3
 
 
@@ -366,8 +372,8 @@ def test_errors_stand_beside_those_of_the_best_constant():
     assert box["median"] == pytest.approx(0.1), "of loads above 2 N"
     assert box["mae"] == pytest.approx(np.mean([0.5, 0.75, 1.25, 0.9, 0.9]))
     assert box["constant"]["mae"] == pytest.approx(np.mean([0, 2.5, 7.5, 3.2, 3.2]))
-    assert box["within_2"] == pytest.approx(0.6)
-    assert list(found["reasons"].values()) == [1]
+    assert (box["within_1"], box["within_2"]) == pytest.approx((0.6, 0.6))
+    assert found["reasons"] == {"a soft object, or a contact beyond the view": 1}
     assert found["shear"] == []
     assert set(found) == {"normal", "shear", "torsion", "reasons"}
 
