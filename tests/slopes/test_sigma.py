@@ -4,6 +4,7 @@ channels are left to tell a slope.
 """
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -123,6 +124,14 @@ def test_no_law_is_below_what_float32_rounds_slopes_to():
     pixels, rest = (changed(one, error=0.0) for one in errors_by(lambda s: 0 * s))
     found = SlopeSigma.fit(pixels, rest, 8.0, 0.5)
     assert found.rest == found.per_step == found.full_confidence_sigma == LEAST_SIGMA
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"shown": (0.6, 0.4)}, {"shown": (-0.1, 0.4)}, {"rest": 0.0}, {"rest_correlated_share": 1.1}]
+)
+def test_a_law_that_cannot_be_is_refused(wrong):
+    with pytest.raises(ValueError, match=f"Expected {min(wrong)}"):
+        replace(LAW, **wrong)
 
 
 def test_a_few_wild_errors_do_not_widen_it():
