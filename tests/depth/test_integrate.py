@@ -85,6 +85,10 @@ class TestLevel:
             flat = self.depth(self.gradients, level)
             assert self.depth(drifted, level) == pytest.approx(flat, abs=1e-5)
 
+    def test_a_plane_takes_no_bow(self):
+        bowed = self.gradients + scene(polynomial(BOW), (60, 80), 0.25).gradients
+        assert np.max(np.abs(self.depth(bowed, "plane") - self.truth)) > 0.02
+
 
 @pytest.mark.parametrize("pitch", [(0.0634, 0.0634), (0.05, 0.08)])
 def test_pitch_is_x_then_y(pitch):

@@ -94,8 +94,9 @@ PITCHES = [(0.0634, 0.0634), (0.05, 0.08)]
 
 
 @pytest.mark.parametrize("pitch", PITCHES)
-def test_gradients_from_depth_are_exact_on_quadratics_border_included(pitch):
-    truth, gradients, _ = scene(QUADRATIC, (12, 17), pitch)
+@pytest.mark.parametrize("shape", [(12, 17), (3, 3)])
+def test_gradients_from_depth_are_exact_on_quadratics_border_included(shape, pitch):
+    truth, gradients, _ = scene(QUADRATIC, shape, pitch)
     assert gradients_from_depth(truth, mm_per_px=pitch) == pytest.approx(gradients, abs=1e-5)
 
 
