@@ -6,6 +6,8 @@ declaration is refused.
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -73,3 +75,14 @@ def test_what_is_not_as_declared_is_refused(name):
         for one in wrong:
             with pytest.raises((TypeError, ValueError), match=f"^{name}: (expected|arrays of shapes)"):
                 kernel(*arguments[:k], one, *arguments[k + 1 :])
+
+
+STEPPED = [name for name, kernel in KERNELS.items() if re.search(r"\bi\d+ step\b", kernel.declaration)]
+
+
+@pytest.mark.parametrize("name", STEPPED)
+def test_a_step_of_0_is_refused_before_anything_is_divided_by_it(name):
+    arguments = drawn(kernel := KERNELS[name], np.random.default_rng(6), 1)
+    stepless = [0 if p.name == "step" else value for p, value in zip(kernel.parameters, arguments)]
+    with pytest.raises(ValueError, match="arrays of shapes"):
+        kernel(*stepless)

@@ -17,7 +17,6 @@ import gelform
 from gelform._native import ISAS, Handle, Kernel, instruction_set, is_finite, library
 from gelform._native.kernel import parameters_of, sizes_of
 from gelform.errors import GelformError
-from gelform.foundations import filters
 from kernel_agreement import declarations, usable_isas
 
 
@@ -103,11 +102,6 @@ REFUSED = [
 def test_what_does_not_fit_a_declaration_never_reaches_c(declaration, arguments, said):
     with pytest.raises((TypeError, ValueError), match=f"^no_such_kernel: expected {re.escape(said)}$"):
         Kernel("no_such_kernel", declaration)(*arguments)
-
-
-def test_a_step_of_0_is_refused_before_anything_is_divided_by_it():
-    with pytest.raises(ValueError, match="do not fit"):
-        filters._medians_where(ZEROS[..., None], None, 0, np.empty(24, np.float32), np.empty(1, np.float32))
 
 
 def test_parameters_are_given_in_order_or_by_name_and_each_once():
