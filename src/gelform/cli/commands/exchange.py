@@ -15,7 +15,7 @@ from gelform.cli.files import check_output
 from gelform.cli.options import argument, listed, one_of, option
 from gelform.sensors.profiles import check_gel_width
 
-RENDERERS = ("taxim", "isaaclab")  # as in exporters.taxim, which the help does not import
+RENDERERS = ("taxim", "isaaclab")  # as in exporters.surface, which the help does not import
 FILES = ("ply", "stl", "tiff", "png", "x3p")
 
 

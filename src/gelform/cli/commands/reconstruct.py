@@ -181,7 +181,8 @@ def _write(result: gelform.Reconstruction, image: Image, results: dict[str, Path
 
 def _row(result: gelform.Reconstruction, path: Path, results: dict[str, Path]) -> dict[str, Any]:
     """The figures of one result, for JSON and for the table: in pixels if the scale is unknown, None if depth is."""
-    peak, area, pixels = ((n := result.numbers) and (n.peak, n.area, n.contact_px)) or (None, None, None)
+    found = result.numbers
+    peak, area, pixels = (None, None, None) if found is None else (found.peak, found.area, found.contact_px)
     lengths = {"peak_px": peak} if result.mm_per_px is None else {"peak_mm": peak, "contact_mm2": area}
     return {
         "image": str(path),
