@@ -169,6 +169,25 @@ def test_a_far_low_light_casts_the_shadow_that_geometry_says():
     assert np.all(dark.shadowed[30][hidden])
 
 
+@pytest.mark.parametrize("along", ["x", "y"])
+def test_a_near_lamp_casts_the_shadow_that_geometry_says(along):
+    place = (-4.0, 0.0, 1.5) if along == "x" else (0.0, -4.0, 1.5)
+    at = 0.05 * np.arange(-40, 61)
+    grid = (at[None], at[:, None])
+    surface = surface_from_indenter(Ball(1), *grid, center_mm=(0, 0), depth_mm=0.8, relaxation_mm=0.2)
+    visible = visible_from_surface(surface, (Led(place, (1, 1, 1), size_mm=0),))[0]
+    middle = np.s_[40, :] if along == "x" else np.s_[:, 40]
+    depth, seen = surface.depth_mm[middle], visible[middle]
+    over = [  # the slope to the highest sample on the way, over that to the lamp
+        np.max((depth[:k] - depth[k]) / (at[k] - at[:k]), initial=-9) - (1.5 - depth[k]) / (at[k] + 4)
+        for k in range(len(at))
+    ]
+    hidden = np.array(over) > 0.02
+    assert hidden.sum() > 10
+    assert np.all(seen[hidden] < 1e-6)
+    assert np.all(seen[np.array(over) < -0.02] == 1)
+
+
 @pytest.mark.parametrize("place", [(-9.0, 2.0, 4.0), (0.5, 8.0, 4.0), (7.0, -7.0, 5.0)])
 def test_attached_shadows_are_where_the_light_lies_behind_the_surface(place):
     grid = PLAIN.grid_mm()
