@@ -2,7 +2,7 @@
 
     python benchmarks/kernels_of_blas.py                        # all fast tests, a table: ten minutes a kernel on two cores
     python benchmarks/kernels_of_blas.py -m linear_algebra      # those that rest on LAPACK
-    python benchmarks/kernels_of_blas.py -m linear_algebra --quick   # each kernel once, one of them with two threads: .ci/run
+    python benchmarks/kernels_of_blas.py -m linear_algebra --quick   # each kernel once, the last with two: .ci/run
 
 numpy and scipy round differently from kernel to kernel, so a matrix that is singular on one is nearly so on another. Where
 OpenBLAS is not used, or on another kind of processor, only the default is tried. Ends with 1 if a run fails.
