@@ -130,6 +130,20 @@ def test_the_background_comes_first_then_a_place_to_press(guide, see):
     assert guide.facts()["places"][0][2] == pytest.approx(0.55 * 2.5 / guide.settings.mm_per_px)
 
 
+def test_a_background_in_which_something_touches_the_gel_is_taken_again_and_a_damaged_gel_is_in_the_end():
+    mini = SENSORS["gelsight-mini"].simulated()
+    touched = simulate_press(mini, Ball(2.5), depth_mm=0.4, center_mm=(2, 1), rng=None).image
+    own = Guide(SensorSettings("my Mini", mini.mm_per_px, make="gelsight-mini"), BALL_MM)
+    for _ in range(5):
+        for _ in range(USUAL_FRAMES):
+            own._add_untouched(touched)
+        assert own.step == "background"
+        assert re.search(r"Something touches the gel .* Touch nothing: the page tries again\.", own.hint)
+    for _ in range(USUAL_FRAMES):
+        own._add_untouched(touched)
+    assert own.step == "press"
+
+
 def test_a_press_held_still_is_accepted_once(guide, see, press):
     see(times=USUAL_FRAMES)
     made = press(3, 2)

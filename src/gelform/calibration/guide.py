@@ -474,7 +474,7 @@ class Guide:
             return
         try:
             taken = background_from_frames(self._untouched)
-            starter = starter_for(self.settings.name, taken.background.shape[:2])
+            starter = starter_for(self.settings.make, taken.background.shape[:2])
             if starter is not None and self._refusals < 5:  # some seconds; then the gel is damaged
                 self._refusals += 1
                 starter.check_untouched(taken.background)
