@@ -49,7 +49,8 @@ def test_then_what_lies_beside_the_data_then_what_they_know_then_the_profile(bes
     named = ReadOptions(sensor="gelsight-mini").settings(tmp_path / "other", known)
     assert named == replace(known, make="gelsight-mini")
     by_profile = ReadOptions(sensor="gelsight-mini").settings(tmp_path / "other")
-    assert (by_profile.name, by_profile.mm_per_px) == (MINI.name, MINI.mm_per_px)
+    own = SensorSettings(MINI.name, MINI.mm_per_px, MINI.mm_per_px_sigma, make="gelsight-mini")
+    assert by_profile == own
 
 
 def test_the_view_that_is_asked_for_goes_first_and_a_make_s_where_the_scale_is_its_own():
@@ -315,7 +316,9 @@ SETTINGS = SensorSettings(
     0.2,
     0.001,
     serial="S1",
+    gel_id="G1",
     make="digit",
+    gel_thickness_mm=3.5,
     view=View((48, 64), crop=(2, 2, 60, 44)),
     camera={"exposure": 50, "fourcc": "MJPG"},
 )

@@ -87,10 +87,10 @@ def check_room(folder: Path) -> None:
 
 
 def toml_of_settings(settings: SensorSettings) -> str:
-    """The text of a `sensor.toml`: name, scale, view and the camera's settings, and of which unit, as far as known."""
+    """The text of a `sensor.toml`: name, scale, unit, gel, view and the camera's settings, as far as known."""
     import tomlkit  # imported here, because most commands import this module and write no such file
 
-    known = ("mm_per_px_sigma", "make", "serial", "gel_id")
+    known = ("mm_per_px_sigma", "make", "serial", "gel_id", "gel_thickness_mm")
     content: dict[str, Any] = {"name": settings.name, "mm_per_px": settings.mm_per_px}
     content |= {name: value for name in known if (value := getattr(settings, name)) not in (None, "")}
     tables = {"view": settings.view.to_dict(), "camera": dict(settings.camera)}
