@@ -17,7 +17,7 @@ from gelform.calibration.circles.find import (
     magnitude,
     training_samples,
 )
-from gelform.calibration.circles.locate import Located
+from gelform.calibration.circles.locate import Located, refine
 from gelform.calibration.coverage import FOLDS
 from gelform.calibration.selection import (
     LEAST_STEP_SIGMA,
@@ -34,6 +34,7 @@ from gelform.calibration.selection import (
     candidates_from,
     circle_sigmas,
     fitted_responses,
+    fold_of,
     make_folds,
     score_of,
     select,
@@ -218,6 +219,18 @@ def test_held_out_presses_train_nothing_and_every_fold_has_both_balls(folds, pre
         assert not set(fold.held_out) & set(fold.training)
         assert len(fold.contacts) == len(fold.training)
         assert len({prepared[i].ball_radius_px for i in fold.training}) == 2
+
+
+def test_circles_are_refined_from_the_other_units_model(located, prepared):
+    """It is far from what these presses say: slopes half as steep."""
+    rows, columns = (len(at) for at in node_positions(prepared[0].size.shape))
+    nodes = np.zeros((rows, columns, 19, 2))
+    nodes[..., :2, :] = 0.5 * np.array([[0.8, 0.3], [-0.3, 0.8]])
+    start, training = HierarchicalModel(nodes, 3, prepared[0].size.shape), range(1, 7)
+    fold = fold_of(replace(located, refined_by=start), [0], training)
+    own, alone = (refine([prepared[i] for i in training], start=one) for one in (start, None))
+    assert fold.contacts == tuple(own.contacts[k] for k in own.accepted)
+    assert fold.contacts != tuple(alone.contacts[k] for k in alone.accepted)
 
 
 def of_some(located, usable):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.calibration import start as module
 from gelform.calibration.start import start_from, starter_start, translated
 from gelform.calibration.starters import load_starter
 from gelform.errors import CalibrationError
@@ -104,7 +105,7 @@ def test_what_cannot_be_started_from_is_said(lambertian_calibration, calibration
             start_from(first, presses, model)
 
 
-def test_the_make_brings_the_starter_whatever_the_sensor_is_called(presses):
+def test_the_make_brings_the_starter_whatever_the_sensor_is_called(presses, monkeypatch):
     light = load_starter("gelsight-mini").calibration.background
     mine = replace(presses, background=light, mm_per_px=0.0634, sensor_name="my Mini")
     mini, nothing = replace(mine, make="gelsight-mini"), (None, ())
@@ -125,3 +126,8 @@ def test_the_make_brings_the_starter_whatever_the_sensor_is_called(presses):
         start, (note,) = starter_start(other, "auto")
         assert start is None
         assert note.startswith(f"The starter of {said}")
+    starter = load_starter("gelsight-mini")
+    own = replace(starter.calibration, training_digests=("of others", mini.presses[1].digest))
+    monkeypatch.setattr(module, "starter_of_make", lambda _: replace(starter, calibration=own))
+    start, (note,) = starter_start(mini, "auto")
+    assert (start.offered, "it was made from these presses." in note) == (False, True)

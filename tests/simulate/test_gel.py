@@ -231,11 +231,11 @@ def test_a_short_slide_carries_the_contact_with_it():
     np.testing.assert_allclose(carried - still, [[0.1, 0.05]], atol=0.01)
 
 
-@pytest.mark.parametrize("friction", [0.2, 0.5])
+@pytest.mark.parametrize("friction", [0.0, 0.2, 0.5])
 def test_a_long_slide_slips_at_the_friction_limit(friction):
     gel = replace(DRAGGED.gel, friction=friction)
     moved = dragged(slide_poses(0.5, (-1, 0), (1, 0), 20), gel, points=((1.0, 0.0),))
-    assert moved[0, 0] == pytest.approx(0.5 * friction, rel=0.05)
+    assert moved[0, 0] == pytest.approx(0.5 * friction, rel=0.05, abs=5e-3)
     assert abs(moved[0, 1]) < 1e-3
 
 
