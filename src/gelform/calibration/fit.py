@@ -71,10 +71,11 @@ def calibrate(
     candidates_for(color_model, len(presses.presses))  # an unknown name fails before any work
     check_inputs(presses)
     untried: tuple[str, ...] = ()
-    if start is None or start == AUTO:
+    if start is None:
+        first_unit, (known, _) = None, starter_start(presses, color_model)
+    elif start == AUTO:
         known, untried = starter_start(presses, color_model)
-        first_unit = known if start == AUTO and known is not None and known.offered else None
-        untried = untried if start == AUTO else ()
+        first_unit = known if known is not None and known.offered else None
     else:
         first_unit = known = start_from(start, presses, color_model)
 
