@@ -90,10 +90,8 @@ def test_every_indenter_is_where_it_touches_the_gel_of_every_sensor(name):
         assert np.abs(press.image.astype(int) - rest).max() > 15
 
 
-STAR, INNER = (
-    0.58 * 4.0,
-    0.45 * 0.58 * 4.0,
-)  # mm from the middle of a coin to a point of its star, and to a notch
+# mm from the middle of a coin to a point of its star, and to a notch
+STAR, INNER = 0.58 * 4.0, 0.45 * 0.58 * 4.0
 NOTCH = np.deg2rad(36 - 90)
 # On an edge half of the relief is left. The star's points are at the top, the beads from the right on.
 ON_COIN = [

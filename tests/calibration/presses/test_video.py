@@ -325,9 +325,8 @@ def test_a_video_of_blue_green_red_is_read_so(filmed, read, how, tmp_path):
         (swapped.background, swapped.presses[0].image), (read.background, read.presses[0].image)
     ):
         assert np.abs(one - other.astype(float)).mean() < 2
-    cv2.imwrite(
-        str(tmp_path / "rest.png"), filmed.stills.background
-    )  # which OpenCV takes for blue, green, red
+    # OpenCV takes the background for blue, green, red.
+    cv2.imwrite(str(tmp_path / "rest.png"), filmed.stills.background)
     given = gelform.read_presses(tmp_path / "bgr.avi", **how, bgr=True, background=tmp_path / "rest.png")
     np.testing.assert_array_equal(given.background, filmed.stills.background)
 
