@@ -307,6 +307,19 @@ def test_folders_that_are_reversed_throughout_are_noted_where_the_sensor_is_know
     assert light_order_notes(None, response) == (), "of an unknown kind nothing is known"
 
 
+def test_the_notes_of_inputs_are_of_the_reading_the_scale_and_the_light(presses, located, found):
+    larger = [replace(press, ball_radius_px=10 * press.ball_radius_px) for press in located.prepared]
+    turn = light_turn(light_response(larger, found))
+    make = "digit" if turn > 0 else "gelsight-mini"  # whose lights come round the other way
+    for known, notes in (
+        ({"notes": ("As read.",), "make": make}, ("As read.", "saved as BGR, or they are mirrored")),
+        ({"make": None, "mm_per_px": 0.02}, ("mm wide",)),
+    ):
+        said = " ".join(input_notes(replace(located, presses=replace(presses, **known), prepared=larger)))
+        for note in (*notes, "The imprints change color"):
+            assert note in said
+
+
 def test_the_report_says_how_many_presses_are_missing(calibration):
     used = sum(row.accepted for row in calibration.report.presses)
     assert any(
