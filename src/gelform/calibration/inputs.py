@@ -266,7 +266,7 @@ def _some(count: int) -> NDArray[np.intp]:
 
 
 def first_notes(presses: Presses, readings: Sequence[BallReading]) -> tuple[str, ...]:
-    """Notes that an error for too few presses has too: the image's surround and light, and the ball's diameter."""
+    """Notes that the error for too few presses has too: on the images' surround and light, and on the ball's diameter."""
     return *surround_notes(presses), *light_notes(presses.background), *notes_of(readings)
 
 

@@ -100,7 +100,7 @@ def fit_sphere(
 ) -> tuple[Numbers, float]:
     """Center (3,) and radius, mm, of the sphere through a region of a depth map.
 
-    By soft-l1 (20 um) least squares that starts from `radius_mm`.
+    The fit is soft-l1 (20 um) least squares from `radius_mm` on. ValueError: the region has fewer than 10 pixels.
     """
     hx, hy = check_mm_per_px(mm_per_px)
     rows, cols = np.nonzero(region)

@@ -111,7 +111,7 @@ class PreparedPress:
     # (x, y, radius) px of the circle by a person; (x, y, None) of a stage's center; or None
     mark: tuple[float, float, float | None] | None = None
     refused: str | None = None  # the reason that the image is not of this background, or None
-    depth_px: Map | None = None  # (H, W), from a color model, once forward responses are fitted
+    depth_px: Map | None = None  # (H, W), as a color model reads it, where forward responses are fitted
 
     def contact_radius(self, contact: ContactCircle) -> float:
         """Radius, px, up to which the gel follows the ball."""

@@ -33,6 +33,8 @@ Circle = tuple[float, float, float]  # (center x, center y, radius), px
 
 @dataclass(frozen=True)
 class _Image:
+    """An image of a press, whatever was pressed."""
+
     name: str  # path of the image below the folder, or its place in the film
     image: NDArray[Any]  # (H, W, 3) uint8, RGB, after the view
 
