@@ -20,6 +20,7 @@ from gelform.calibration.circles.find import (
     ZONE,
     PreparedPress,
     change_settings,
+    distances_px,
     scale_of,
 )
 from gelform.calibration.presses.press_set import Circle, Press
@@ -168,8 +169,7 @@ def press_errors_as_read(
     height, width = press.size.shape
     # Steps between the pixels at rest, and between the eight rows that tell how errors there correlate.
     every, apart = max(1, int(np.sqrt(height * width / PRESS_PIXELS))), max(1, height // 8)
-    y, x = np.ogrid[:height, :width]
-    far = np.hypot(x - found.x_px, y - found.y_px) > (REST_DISTANCE + 1) * found.radius_px
+    far = distances_px(press.size.shape, found.x_px, found.y_px) > (REST_DISTANCE + 1) * found.radius_px
     if press.usable is not None:
         far &= press.usable
     slopes = np.where(far[..., None], frame.gradients, np.nan).astype(np.float64)
@@ -363,9 +363,7 @@ def _far_depth(record: FrameRecord, circle_px: Circle) -> Map:
     """What `depth_factor` takes of each seventh pixel at rest beyond 2.5 radii of a contact; (4, 0) for under 200 pixels."""
     errors = record.depth_errors
     assert errors is not None
-    height, width = record.depth_mm.shape
-    y, x = np.ogrid[:height, :width]
-    far = record.known & (np.hypot(x - circle_px[0], y - circle_px[1]) > 2.5 * circle_px[2])
+    far = record.known & (distances_px(record.depth_mm.shape, *circle_px[:2]) > 2.5 * circle_px[2])
     if np.count_nonzero(far) < 200:
         return np.empty((4, 0), dtype=np.float32)
     unit = errors.spread / record.fixed.slope_sigma.depth_factor**2
