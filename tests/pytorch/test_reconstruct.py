@@ -294,9 +294,8 @@ def test_derivatives_are_those_of_differences(request, name, images):
     """Of a sum of depths with random weights, along random changes of the image, in double precision."""
     module = Reconstruct(calibration_of(name, request), compensate_exposure=False).double()
     generator = torch.Generator().manual_seed(0)
-    image = (
-        batch_of(images[1:2]).double().requires_grad_()
-    )  # in the first, a median changes its sample at once
+    # In the first image, a median changes its sample at once.
+    image = batch_of(images[1:2]).double().requires_grad_()
     weights = torch.randn(image.shape[2:], generator=generator, dtype=torch.float64)
     (slope,) = torch.autograd.grad((module(image).depth_mm * weights).sum(), image)
     for _ in range(3):

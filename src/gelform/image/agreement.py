@@ -258,7 +258,8 @@ def check_untouched(background: Array, calibrated: Array, contact: Mask | None =
     """
     share, center = largest_touch(block_means(background), block_means(calibrated))
     x, y = (int(part * size) for part, size in zip(center, background.shape[1::-1]))
-    if share > (TOUCHED_SHARE if contact is None or not contact[y, x] else 0.015):
+    in_contact = contact is not None and contact[y, x]
+    if share > (0.015 if in_contact else TOUCHED_SHARE):  # two moments at rest differ by no more than that
         raise CalibrationError(
             f"Something touches the gel in this background image, about ({x}, {y}) px: {100 * share:.1f} % of it "
             "differ from the calibration's as no light does. Take it again, with nothing touching the gel. If the gel is "

@@ -140,11 +140,10 @@ class PreparedRegistration:
 
     def _untouched(self, change: Map, touched: Mask | None) -> Mask:
         """Pixels (H, W) whose surroundings are as bright as before, up to a common factor; the border is excluded."""
+        # A touch changes the mean level around it, over some 8 px, by more than a fraction of 0.02.
         smooth = cv2.GaussianBlur(change, (0, 0), 8.0)
         away = np.abs(smooth - np.median(smooth))
-        used = away < max(
-            0.02, 3 * float(np.median(away))
-        )  # a touch changes the mean level around it by more
+        used = away < max(0.02, 3 * float(np.median(away)))
         if touched is not None:
             used &= ~touched
         margin = int(2 * BLURS_PX[0])

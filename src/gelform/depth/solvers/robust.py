@@ -82,8 +82,8 @@ class RobustSolver:
         sizes = np.concatenate([np.abs(r[w > 0]) for r, w in sample])
         usual = np.float32(max(SIGMA_OF_MEDIAN * float(np.median(sizes)) if sizes.size else 0.0, 1e-6))
         weights = tuple(w * np.maximum(self._weight(r / usual), FLOOR) for w, r in zip(given, residual))
-        left = problem._replace(edges=residual, edge_weights=weights)  # type: ignore[arg-type]
-        east, south, right = edge_system(left, pitch)
+        remaining = problem._replace(edges=residual, edge_weights=weights)  # type: ignore[arg-type]
+        east, south, right = edge_system(remaining, pitch)
         grid.load_edges(east, south, right - problem.anchor * depth, problem.anchor)
 
 
