@@ -60,6 +60,12 @@ class TestZero:
             assert depth.max() == pytest.approx(self.truth.max(), rel=0.02)
         assert abs(depth_from_gradients(self.gradients, mm_per_px=0.25).mean()) < 1e-6
 
+    def test_the_border_is_one_pixel_wide(self):
+        bow = scene(polynomial(BOW), (60, 80), 0.25).gradients
+        depth = depth_from_gradients(bow, mm_per_px=0.25, zero="border")
+        border = np.concatenate([depth[0], depth[-1], depth[1:-1, 0], depth[1:-1, -1]])
+        assert abs(np.median(border)) < 1e-6
+
     def test_frame_that_is_all_border(self):
         depth = depth_from_gradients(np.ones((1, 9, 2)), mm_per_px=0.5, zero="border")
         assert depth == pytest.approx(0.5 * (np.arange(9) - 4)[None])

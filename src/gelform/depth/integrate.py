@@ -281,7 +281,7 @@ def zero_region(zero: Zero | Mask, shape: tuple[int, int]) -> Mask:
         if zero not in ("mean", "border"):
             raise ValueError(f"Expected zero as 'mean', 'border' or a boolean (H, W), got {zero!r}.")
         region = np.ones(shape, dtype=bool)
-        if zero == "border" and min(shape) > 2:
+        if zero == "border":
             region[1:-1, 1:-1] = False
         return region
     return check_mask(zero, shape=shape, name="zero")
