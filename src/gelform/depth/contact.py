@@ -261,15 +261,15 @@ class Evidence:
 
     def __call__(
         self,
-        number: int,
-        labels: NDArray[np.uint16],  # (H, W), of the regions, from 1
+        number: int,  # of regions
+        labels: NDArray[np.uint16],  # (H, W), from 1
         depth: Map,  # (H, W), mm
         sigma: Map,  # (H, W), mm, its standard deviation
         evidence: Map,  # (H, W), square of the mean pressure around over its variance
         smooth: Map,  # (H, W), the depth smoothed
         bent: Map,  # (H, W), minus its Laplacian
     ) -> tuple[Mask, NDArray[np.int32]]:
-        """Whether each label (labels + 1,) is a contact, and the (y, x) of its deepest pixel (labels + 1, 2)."""
+        """Whether each label (number + 1,) is a contact, and the (y, x) of its deepest pixel (number + 1, 2)."""
         factor, area = self.noise_factor, self.pitch[0] * self.pitch[1]
         measures, excess = np.empty((number, 7)), np.empty(1)
         per_x, per_y = (step**2 / area for step in self.pitch)

@@ -1,4 +1,4 @@
-"""color -> gradients: one model per file, listed in COLOR_MODELS.
+"""color -> gradients: the models, listed in COLOR_MODELS.
 
 A model is fitted on samples of ball presses, where the gradient is known, and prepared once for a background:
 
