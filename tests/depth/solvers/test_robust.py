@@ -49,6 +49,17 @@ def test_outliers_hurt_less_than_in_least_squares(solver, errors_um):
     assert errors_um[solver] < 0.6 * errors_um["dct"]
 
 
+@pytest.mark.parametrize("solver", ROBUST)
+def test_slopes_that_an_anchor_contradicts_count_less_in_each_round(solver):
+    truth, gradients, pitch = scene(PEAKS)
+    anchor = np.full(truth.shape, 0.01, np.float32)
+    kept, pulled = (
+        integrate(gradients, mm_per_px=pitch, solver=name, anchor=anchor).depth_mm.max()
+        for name in ("multigrid", solver)
+    )
+    assert pulled < 0.5 * kept
+
+
 def test_gate_beats_every_robust_loss_on_specks(errors_um):
     assert errors_um["curl_gated"] < 8
     assert errors_um["curl_gated"] < min(errors_um[name] for name in ROBUST)
