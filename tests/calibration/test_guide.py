@@ -281,6 +281,16 @@ def test_its_folder_has_the_calibration_and_the_library_once_it_is_kept(made, li
     assert saved.digest == gelform.load_calibration(path).digest == found.calibration.digest
 
 
+def test_its_folder_says_what_is_known_of_the_sensor(presses, calibration, monkeypatch, tmp_path):
+    monkeypatch.setattr(module, "calibrate", lambda *_, **__: calibration)
+    geometry = replace(presses.geometry, gel_thickness_mm=4.2)
+    known = {"make": "gelsight-mini", "camera": {"exposure": 50.0}, "mm_per_px_sigma": 0.001}
+    made = module.calibrate_guided(replace(presses, geometry=geometry, **known), tmp_path)
+    again = gelform.read_presses(made.folder)
+    assert {name: getattr(again, name) for name in known} == known
+    assert again.geometry.gel_thickness_mm == 4.2
+
+
 def test_its_figures_are_those_of_the_report(made, library, presses):
     found = made()
     assert found.report["accepted"] + len(found.report["rejected"]) == len(presses.presses)
