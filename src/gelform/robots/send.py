@@ -12,7 +12,7 @@ import os
 import struct
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from hashlib import blake2b
 from itertools import count
@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from gelform import DataError, Frame, Reconstruction, Stream, open_source, stream
 from gelform.calibration_file import Calibration, as_calibration
-from gelform.errors import FrameTally, GelformError, Progress, needed, no_progress
+from gelform.errors import FrameTally, GelformError, Progress, cannot, needed, no_progress
 from gelform.exchange.exporters.press_folder import written_whole
 from gelform.foundations.checks import check_path, check_positive
 from gelform.robots.ros_messages import RosMessages
@@ -102,18 +102,25 @@ class BagFile:
         frame : from the camera
         result : of the frame, in mm if indentation or points are written
         stamp_ns : capture time, UTC, ns
+
+        Raises
+        ------
+        DataError
+            The disk is full; nothing is kept.
         """
-        for name, message in self._messages.due(frame, result, stamp_ns):
-            self._writer.write(self._connections[name], stamp_ns, message)
+        with cannot(f"write {self.path}", "Nothing of it was kept."):
+            for name, message in self._messages.due(frame, result, stamp_ns):
+                self._writer.write(self._connections[name], stamp_ns, message)
 
     def __enter__(self) -> BagFile:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, problem: BaseException | None, _: object) -> None:
-        with self._open:
-            if problem is not None and not isinstance(problem, KeyboardInterrupt):
-                self._writer.abort()
-                raise problem
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        with suppress(GeneratorExit), self._open:
+            if kind is not None and not issubclass(kind, KeyboardInterrupt):
+                with suppress(OSError):  # on a full disk, what is still to be written does not fit either
+                    self._writer.abort()
+                raise GeneratorExit  # discards the folder; the exception of the context may be an OSError of another file
             self._writer.close()
             inside = self._folder / self.path.name
             for path in inside.iterdir():
