@@ -190,6 +190,8 @@ def test_without_the_extra_the_error_names_it(monkeypatch):
         DataError, match=r'message of ROS 2 needs the extra ros: pip install "gelform\[ros\]"'
     ):
         RosMessages("left")
+    with pytest.raises(ValueError, match="name of ROS"):  # no installation mends it
+        RosMessages("Left")
 
 
 def test_every_level_comes_back_also_those_that_the_page_names():

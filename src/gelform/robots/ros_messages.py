@@ -35,10 +35,10 @@ class RosMessages:
     """
 
     def __init__(self, sensor: str, hardware_id: str = "", topics: Iterable[str] = USUAL) -> None:
-        needed("rosbags.typesys", "ros", "A message of ROS 2")
-        self.store = typestore()
         self.sensor, self.hardware_id = check_sensor_name(sensor), hardware_id
         self.topics = check_topics(topics)
+        needed("rosbags.typesys", "ros", "A message of ROS 2")
+        self.store = typestore()
         self.camera_frame, self.gel_frame = f"{sensor}_camera_optical_frame", f"{sensor}_gel_optical_frame"
         self._said: tuple[tuple[str, ...] | None, int] = (None, 0)
         self._follow = Follower()
