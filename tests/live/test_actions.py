@@ -100,13 +100,13 @@ def test_solver_and_calibration(hub, station, calibration):
 
 def test_what_is_not_listed_or_known_is_refused(hub, station):
     before = station.setup
-    for act, *arguments in (
-        (actions.use_solver, "nonsense"),
-        (actions.use_calibration, "../secret.npz"),
-        (actions.open_recording, "../secret.mcap"),
+    for act, name, said in (
+        (actions.use_solver, "nonsense", "Expected a solver among auto, "),
+        (actions.use_calibration, "../secret.npz", "There is no calibration"),
+        (actions.open_recording, "../secret.mcap", "There is no recording"),
     ):
-        with pytest.raises((GelformError, ValueError)):
-            act(hub, station, *arguments)
+        with pytest.raises((GelformError, ValueError), match=said):
+            act(hub, station, name)
     assert station.setup is before
     assert station.facts()["simulated"]
     station.setup = Setup()

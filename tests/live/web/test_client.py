@@ -75,6 +75,15 @@ def test_wrong_fields_are_the_clients_fault_and_refusals_hold_no_path():
     assert "/" not in str(refused.value)
 
 
+def test_what_is_done_is_announced_to_all_pages_and_what_is_refused_is_not(hub, station, monkeypatch):
+    told = []
+    monkeypatch.setattr(hub, "changed", lambda: told.append(station.paused))
+    done(hub, {"do": "pause", "station": 0, "paused": True})
+    with pytest.raises(GelformError, match="Open a recording first"):
+        done(hub, {"do": "step", "station": 0, "by": 1})
+    assert told == [True]
+
+
 FIELDS = st.sampled_from(["do", "station", "planes"])
 WATCH = {"do": "watch", "stations": [0], "planes": ["depth", "flags"], "encoding": "raw"}
 

@@ -116,8 +116,8 @@ def _no_constant(name: str) -> None:
 def done(hub: Hub, content: dict[str, Any]) -> dict[str, Any] | None:
     """Do the action of a message, and announce that; return its answer, if there is one.
 
-    MessageError: the command is unknown, or fields are missing, unknown or of the wrong type. GelformError: the action
-    failed, or another one of the same station lasts; the text is for the user.
+    MessageError: the command is unknown, or fields are missing, unknown or of the wrong type. GelformError, ValueError: the
+    action failed, or another one of the same station lasts; the text is for the user.
     """
     if content["do"] not in COMMANDS:
         raise MessageError("Expected one of the known commands.")
