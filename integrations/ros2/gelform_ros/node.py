@@ -51,8 +51,8 @@ class GelformNode(Node):
     def _parameter(self, name: str, default: str) -> str:
         return self.declare_parameter(name, default).get_parameter_value().string_value
 
-    def _publish(self, *result: Any) -> None:
-        for topic, message in self._messages.due(*result):
+    def _publish(self, frame: gelform.Frame, result: gelform.Reconstruction, stamp_ns: int) -> None:
+        for topic, message in self._messages.due(frame, result, stamp_ns):
             self._to[topic].publish(bytes(message))  # rclpy publishes bytes as they are: CDR
 
     def _publish_all(self) -> None:
