@@ -12,8 +12,9 @@ from gelform.batch.inputs import Part
 from gelform.batch.outputs.files import PartTarget
 from gelform.batch.outputs.writers import WRITERS
 from made import files
-from made.files import EPISODES, video, write_lerobot_set
+from made.files import EPISODES, write_lerobot_set
 from made.small_gel import MM_PER_PX, SHAPE, Touch, calibration, image_of, save
+from made.sources import video_file
 
 COUNT = 4  # images in each folder
 WRITTEN = 5  # frames of a part that is written
@@ -54,7 +55,7 @@ def cal():
 @pytest.fixture
 def film(tmp_path, images):
     """A video of the touches, without loss."""
-    return video(tmp_path / "press.avi", images)
+    return video_file(tmp_path / "press.avi", images, "FFV1")
 
 
 @pytest.fixture

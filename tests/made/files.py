@@ -56,16 +56,6 @@ def visible(folder):
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
-def video(path, images, codec="FFV1", rate_hz=25.0):
-    """The path, after the images (RGB) were written to a video there; FFV1 is without loss."""
-    height, width = images[0].shape[:2]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), rate_hz, (width, height))
-    for image in images:
-        writer.write(np.ascontiguousarray(image[..., ::-1]))
-    writer.release()
-    return path
-
-
 def encoded(path, frames, codec="libx264rgb", pixels="rgb24", **options):
     """Write a video of frames, without loss."""
     import av

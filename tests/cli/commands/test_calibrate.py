@@ -26,8 +26,8 @@ from gelform.calibration_file import load_calibration
 from gelform.exchange.plots import save_picture
 from gelform.sensors.files import read_sensor_toml
 from gelform.simulate import LAYOUTS, Ball, Pose, simulate_background, simulate_press, simulate_sequence
-from made.files import video
 from made.images import checkerboard
+from made.sources import video_file
 
 
 def test_a_calibration_and_its_report_whose_circles_can_be_labels(works, folder, tmp_path):
@@ -106,7 +106,7 @@ def test_a_video(works, small, tmp_path):
     for x, y in np.stack(np.meshgrid([-5, 0, 5], [-3.5, 0, 3.5]), axis=-1).reshape(-1, 2):
         poses += [*[Pose(0.7, (x, y))] * 7, *[Pose(-1)] * 5]
     images = [press.image for press in simulate_sequence(small, Ball(3), poses, rng=rng)]
-    path = video(tmp_path / "presses.avi", images)
+    path = video_file(tmp_path / "presses.avi", images, "FFV1")
     given = ("--mm-per-px", small.mm_per_px, "--ball-diameter-mm", 6)
     err = works("calibrate", path, "-o", tmp_path / "cal.npz", "--model", "polynomial", *given)[1]
     assert "9 of 9 presses used" in err

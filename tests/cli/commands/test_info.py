@@ -21,8 +21,7 @@ from gelform.sensors import cameras
 from gelform.sensors.files import read_image
 from gelform.sensors.mcap import McapRecording
 from gelform.sensors.playback import RecordingFacts
-from made.files import video
-from made.sources import frames
+from made.sources import frames, video_file
 
 DECLARED = [
     "numpy>=1.26",
@@ -169,7 +168,7 @@ def test_frames_of_one_press_count_once(run_json, press_folder, tmp_path):
 
 
 def test_a_video_and_what_it_lacks(run, run_json, press_folder, tmp_path):
-    path = video(tmp_path / "presses.avi", [read_image(press_folder / "background.png")] * 10)
+    path = video_file(tmp_path / "presses.avi", [read_image(press_folder / "background.png")] * 10)
     said = run_json("info", path)
     assert (said["kind"], said["size_px"], said["frames"]) == ("video", [120, 160], 10)
     assert said["duration_s"] == pytest.approx(0.4)

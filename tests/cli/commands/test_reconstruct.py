@@ -20,8 +20,8 @@ from gelform.exchange.plots import save_picture
 from gelform.result import load_result
 from gelform.sensors.files import read_image
 from hostile.commands import make_work
-from made.files import video
 from made.small_gel import calibration, save
+from made.sources import video_file
 
 
 @pytest.fixture
@@ -79,7 +79,7 @@ def test_a_video_becomes_whole_results_to_look_at(
     run, works, calibration_file, press_folder, tmp_path, opened
 ):
     frames = [read_image(press_folder / "images" / f"{k:04d}.png") for k in range(3)]
-    path = video(tmp_path / "press.avi", frames)
+    path = video_file(tmp_path / "press.avi", frames, "FFV1")
     given = ("reconstruct", path, "-c", calibration_file, "-o", tmp_path / "out")
     works(*given, "--view")
     result = load_result(tmp_path / "out" / "frames" / "press.avi" / "000002.npz")
