@@ -215,9 +215,12 @@ def test_a_run_that_ended_before_its_tables_goes_on(done, lerobot, cal, visible)
     for name in ("parts/finished.json", "frames/meta/info.json", "frames/meta/stats.json"):
         (output / name).unlink()
     assert verify_output(output)[2]
+    kept = output / "frames/data/chunk-000/file-000.parquet"
+    copied_ns = kept.stat().st_mtime_ns
     summary = run_batch(root, cal, output, SETTINGS, dataset=KEY, table="csv")
     assert (summary.complete, summary.frames) == (True, 0)
     assert visible(output) == whole
+    assert kept.stat().st_mtime_ns == copied_ns, "a whole copy is not made again"
     assert not left.exists()
 
 

@@ -157,7 +157,7 @@ def test_frames_of_another_size_are_named_in_every_command_that_plays_them(
             cv2.imwrite(str(folder / f"{k}.png"), small)
         for command, output in (("track", "t.csv"), ("bag", "bag")):
             said = fails(command, folder, "-c", calibration_file, "-o", tmp_path / f"{name} {output}")
-            assert f"Frame {numbers[0]}: Expected frames of 120x160 px (height x width)" in said
+            assert f"{folder}: Frame {numbers[0]}: Expected frames of 120x160 px (height x width)" in said
             assert "got 60x80" in said
 
 
