@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform.batch import BatchSettings, run_batch
+from gelform.batch import BatchSettings, run_batch, verify_output
 from gelform.batch.containers import (
     blocks,
     container_values,
@@ -225,9 +225,15 @@ def test_episodes_of_zarr_are_sequences_and_give_the_same_depth_as_by_hand(
     for source, output in ((replay, "a"), (replay.parent, "b")):
         summary = run_batch(source, cal, tmp_path / output, settings, dataset="data/*")
         assert (summary.complete, summary.frames, summary.errors) == (True, 5, 0)
-    depth = zarr.open_group(str(tmp_path / "a/frames"))["replay.zarr/data/gel/000001/depth_mm"]
-    assert depth.shape[0] == 2
-    np.testing.assert_array_equal(depth[0], gelform.Reconstructor(cal).from_image(images[3]).depth_mm)
+        assert verify_output(tmp_path / output) == (5, 0, [])
+    arrays = zarr.open_group(str(tmp_path / "a/frames"))["replay.zarr/data/gel"]
+    first, second = (arrays[f"{name}/depth_mm"] for name in ("000000", "000001"))
+    assert (first.shape[0], second.shape[0]) == (3, 2)
+    for depth, image in (
+        (first[2], images[2]),
+        (second[0], images[3]),
+    ):  # the first of a second part, of a sequence
+        np.testing.assert_array_equal(depth, gelform.Reconstructor(cal).from_image(image).depth_mm)
 
 
 def test_zarr_that_cannot_be_is_said(zarr, replay, tmp_path):
