@@ -84,12 +84,12 @@ def ball_diameter(text: str) -> float:
 
 
 def argument(metavar: str, help: str) -> Any:
-    """An argument under the name that the help shows."""
+    """An argument, which the help calls `metavar`."""
     return Argument(metavar=metavar, help=help)
 
 
 def option(metavar: str, help: str) -> Any:
-    """An option of the parameter's own name, whose value the help names so."""
+    """An option named as its parameter, whose value the help calls `metavar`."""
     return Option(metavar=metavar, help=help)
 
 

@@ -170,7 +170,7 @@ class Station:
         self._first: tuple[Opening, Setup] | None = None  # while another source is shown
         self._grabber: Grabber | None = None
         self._pipeline: Pipeline[Shown] | None = None
-        self.examine: Callable[[Work], None] = lambda work: work()  # makes slow work of this and later setups
+        self.examine: Callable[[Work], None] = lambda work: work()  # does slow work of this and later setups
         self._missing = ""
         self._stop, self._switched = threading.Event(), threading.Event()
         self._serial, self._begun_s = 0, -math.inf
