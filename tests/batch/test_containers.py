@@ -229,10 +229,8 @@ def test_episodes_of_zarr_are_sequences_and_give_the_same_depth_as_by_hand(
     arrays = zarr.open_group(str(tmp_path / "a/frames"))["replay.zarr/data/gel"]
     first, second = (arrays[f"{name}/depth_mm"] for name in ("000000", "000001"))
     assert (first.shape[0], second.shape[0]) == (3, 2)
-    for depth, image in (
-        (first[2], images[2]),
-        (second[0], images[3]),
-    ):  # the first of a second part, of a sequence
+    # The first frames of a sequence's second part, and of the second sequence.
+    for depth, image in ((first[2], images[2]), (second[0], images[3])):
         np.testing.assert_array_equal(depth, gelform.Reconstructor(cal).from_image(image).depth_mm)
 
 
