@@ -6,6 +6,7 @@ import struct
 import zlib
 from concurrent.futures import ThreadPoolExecutor
 from io import BytesIO
+from weakref import WeakSet
 
 import cv2
 import numpy as np
@@ -19,6 +20,7 @@ from gelform.image.view import View
 from gelform.sensors.files import (
     SensorSettings,
     background_in,
+    images_of_stack,
     is_stack,
     read_background,
     read_image,
@@ -320,6 +322,21 @@ def test_one_image_is_itself_a_folder_is_averaged_and_no_background_refused(rest
     save_picture(rests / "9.png", np.zeros((20, 30, 3), dtype=np.uint8))
     with pytest.raises(DataError, match=r"gel at rest in .*20x30"):
         read_background(rests)
+
+
+def test_of_several_stacks_one_is_held_at_a_time(tmp_path, monkeypatch):
+    held, page = WeakSet(), np.full((24, 32, 3), 100, np.uint8)
+    for name in "abc":
+        cv2.imwritemulti(str(tmp_path / f"{name}.tif"), [page] * 3)
+
+    def opened(path):
+        assert not held
+        image, count = images_of_stack(path)
+        held.add(image)
+        return image, count
+
+    monkeypatch.setattr("gelform.sensors.files.images_of_stack", opened)
+    np.testing.assert_array_equal(read_background(tmp_path), page)
 
 
 def test_a_press_folder_may_hold_a_folder_of_backgrounds(folder, rests, tmp_path):

@@ -7,8 +7,8 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
-from functools import partial
 from io import BytesIO
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 from typing import Any, cast
@@ -195,16 +195,20 @@ def images_of_stack(path: Path) -> tuple[Callable[[int], Image], int]:
     return image, len(pages)
 
 
-def _image_at_rest(path: Path) -> Array:
-    """The image of a file; a `.npy` of the gel at rest may hold an average, in floats."""
-    if not is_npy(path) or (values := npy_values(path)).dtype.kind != "f":
-        return read_image(path)
-    levels = np.asarray(values, dtype=np.float32)
-    if not (np.isfinite(levels).all() and levels.min() >= 0 and 2 < levels.max() <= 255):
-        raise DataError(
-            f"Expected gray levels from 0 to 255 in {path}, got {levels.min():.3g} to {levels.max():.3g}."
-        )
-    return levels
+def _images_at_rest(path: Path) -> Iterator[Array]:
+    """The image of a file, or all of them; a `.npy` of the gel at rest may hold an average, in floats."""
+    if is_stack(path):
+        image, count = images_of_stack(path)
+        yield from map(image, range(count))
+    elif is_npy(path) and (values := npy_values(path)).dtype.kind == "f":
+        levels = np.asarray(values, dtype=np.float32)
+        if not (np.isfinite(levels).all() and levels.min() >= 0 and 2 < levels.max() <= 255):
+            raise DataError(
+                f"Expected gray levels from 0 to 255 in {path}, got {levels.min():.3g} to {levels.max():.3g}."
+            )
+        yield levels
+    else:
+        yield read_image(path)
 
 
 def _image_in(content: bytes, path: Path, most_pixels: float) -> Image:
@@ -377,21 +381,19 @@ def read_background(paths: str | Path | Sequence[str | Path], *, bgr: bool = Fal
         `background_from_frames`).
     """
     files = background_files(paths)
-    named: list[tuple[str, Callable[[], Array]]] = []  # each image is read when it is asked for
-    for file in files:
-        if is_stack(file):
-            image, count = images_of_stack(file)
-            named += [(f"{file} {number}", partial(image, number)) for number in range(count)]
-        else:
-            named.append((str(file), partial(_image_at_rest, file)))
-    if len(named) == 1 and not is_stack(files[0]):
-        rest = named[0][1]()
+    if len(files) == 1 and not is_stack(files[0]):
+        (rest,) = _images_at_rest(files[0])
     else:
+        names: list[str] = []
+        for file in files:
+            several = range(images_of_stack(file)[1]) if is_stack(file) else None
+            names += [str(file)] if several is None else [f"{file} {number}" for number in several]
+        # A stack is opened again where its images are taken, so that the memory holds one file at a time.
+        images = chain.from_iterable(map(_images_at_rest, files))
         try:
-            taken = background_from_frames((read() for _, read in named), names=[name for name, _ in named])
+            rest = background_from_frames(images, names=names).background
         except ValueError as problem:  # an image of another size
             raise DataError(f"Images of the gel at rest in {files[0].parent}: {problem}") from problem
-        rest = taken.background
     return rgb_from_bgr(rest) if bgr else rest
 
 
