@@ -522,6 +522,17 @@ def test_a_small_file_cannot_take_the_memory_or_for_ever(tmp_path, name):
         read_gs_sdk(in_zip(tmp_path / "net.pth", BOMBS[name]), BACKGROUND)
 
 
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_a_name_that_stands_often_is_not_read_each_time(tmp_path, monkeypatch):
+    """By its name, each entry would be the last one, which is far larger than the others declare."""
+    with zipfile.ZipFile(tmp_path / "net.pth", "w", zipfile.ZIP_DEFLATED) as archive:
+        for size in (1, 1, 10**6):
+            archive.writestr("net/data.pkl", bytes(size))
+    monkeypatch.delattr("zipfile.ZipFile.read")
+    with pytest.raises(gelform.DataError, match=r"Expected weights of torch\.save"):
+        read_gs_sdk(tmp_path / "net.pth", BACKGROUND)
+
+
 def test_what_torch_writes_is_no_bomb_and_without_torch_the_extra_is_named(tmp_path, data, monkeypatch):
     with monkeypatch.context() as without:
         without.setitem(sys.modules, "torch", None)

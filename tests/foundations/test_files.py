@@ -26,6 +26,7 @@ from hypothesis.extra import numpy as hnp
 
 from gelform import __version__
 from gelform.errors import CalibrationError, DataError
+from gelform.foundations import files
 from gelform.foundations.files import (
     FAST_PNG,
     WAYS,
@@ -218,6 +219,21 @@ def test_sizes_are_checked_before_reading(tmp_path):
     write(path, {"big": np.zeros(100_000, dtype=np.uint8)})
     with pytest.raises(DataError, match=r"declares 0\.1012 MB; a gelform test file has at most 0\.05 MB"):
         read(path, max_bytes=50_000)
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_no_more_is_read_than_is_declared(tmp_path, monkeypatch):
+    """A name may stand often: by its name, each entry would be the last one."""
+    path, read_bytes = tmp_path / "x.npz", []
+    write(path, {"big": np.zeros(10_000, np.uint8)})
+    with zipfile.ZipFile(path, "a") as archive:
+        for array in [np.zeros(0)] * 9 + [np.zeros(10_000, np.uint8)]:
+            archive.writestr("more.npy", npy(array))
+    monkeypatch.setattr(files, "_array", lambda content: read_bytes.append(len(content)) or np.array("{}"))
+    with pytest.raises(DataError):
+        read(path)
+    with zipfile.ZipFile(path) as archive:
+        assert read_bytes == [member.file_size for member in archive.infolist()]
 
 
 def test_a_file_says_what_it_is_and_others_are_refused(tmp_path):

@@ -232,12 +232,19 @@ class TaximLook:
 
     The tables were fitted inside contacts, where level gel has another color than at rest. Their color of level gel is
     therefore faded in over the first 0.1 mm of depth. Gel at rest keeps its background.
+
+    Attributes
+    ----------
+    tables : from `read_taxim_forward`
+    background : (H, W, 3) float32, 4:3 as the tables, oriented as the images of their calibration
+    mm_per_px : of this image; the tables contain no scale
+    noise : (3,) gray levels
     """
 
     tables: TaximTables
-    background: Map  # (H, W, 3) float32, 4:3 as the tables, oriented as the images of their calibration
-    mm_per_px: float  # of this image; the tables contain no scale
-    noise: Numbers  # (3,) gray levels
+    background: Map
+    mm_per_px: float
+    noise: Numbers
 
     def __post_init__(self) -> None:
         check_positive(self.mm_per_px, "mm_per_px")
@@ -398,10 +405,10 @@ def _state_dict(path: Path) -> dict[str, Any]:
         with ZipFile(path) as archive:
             members = names_in(archive, path, "a network that gelform reads", MAX_BYTES)
             ends = [name.split("/")[-1] for name in members]
-            pickles = [archive.read(name) for name, end in zip(members, ends) if end == "data.pkl"]
-        if start != b"PK\x03\x04" or len(pickles) != 1 or "constants.pkl" in ends:
-            raise DataError(f"Expected weights of torch.save, a zip with data.pkl in it, got {path}.")
-        _check_pickle(pickles[0])
+            if start != b"PK\x03\x04" or ends.count("data.pkl") != 1 or "constants.pkl" in ends:
+                raise DataError(f"Expected weights of torch.save, a zip with data.pkl in it, got {path}.")
+            pickled = archive.read(members[ends.index("data.pkl")])
+        _check_pickle(pickled)
         torch = needed("torch", "torch", "A network saved by torch")
         content = torch.load(path, map_location="cpu", weights_only=True)
     except UnpicklingError as problem:

@@ -377,10 +377,11 @@ def read_npz(
             with path.open("rb") as file:
                 is_picture = file.read(4).startswith(PICTURE_STARTS)
             with zipfile.ZipFile(path) as archive:
-                names = names_in(archive, path, f"a {kind}", max_bytes, error)
-                if "meta.npy" not in names:
+                if "meta.npy" not in names_in(archive, path, f"a {kind}", max_bytes, error):
                     raise error(f"{path} is no {kind}: it has no member 'meta'.")
-                arrays = {name.removesuffix(".npy"): _array(archive.read(name)) for name in names}
+                # Not by name: where a name stands often, that reads the last member each time, far more than is declared.
+                members = [(one.filename.removesuffix(".npy"), one) for one in archive.infolist()]
+                arrays = {name: _array(archive.read(one)) for name, one in members}
         meta = json.loads(str(arrays.pop("meta")[()]))
         _json(meta)
     except _UNREADABLE as problem:
