@@ -281,10 +281,15 @@ def test_an_answer_that_comes_byte_by_byte_ends_also_where_its_end_resets_the_co
     with MjpegServer(drip, b"") as server, pytest.raises(SensorError, match="did not finish its answer"):
         HttpBody(server.url, 0.15)
 
-    def reset(*_):
-        time.sleep(0.12)
-        raise SensorError("Connection reset by peer.")
+    for problem, said in (
+        (SensorError("Connection reset by peer."), "did not finish its answer"),
+        (KeyboardInterrupt("meant for the program"), "meant for the program"),
+    ):
 
-    monkeypatch.setattr("gelform.sensors.mjpeg._answer_to", reset)
-    with MjpegServer([]) as server, pytest.raises(SensorError, match="did not finish its answer"):
-        HttpBody(server.url, 0.05)
+        def late(*_, problem=problem):
+            time.sleep(0.12)
+            raise problem
+
+        monkeypatch.setattr("gelform.sensors.mjpeg._answer_to", late)
+        with MjpegServer([]) as server, pytest.raises(type(problem), match=said):
+            HttpBody(server.url, 0.05)

@@ -155,12 +155,15 @@ class HttpBody:
             ending.start()
             try:
                 self._response = _answer_to(place, self._socket, self.url)
+            except SensorError:
+                if time.monotonic() < until:
+                    raise
             finally:
                 ending.cancel()
-                if time.monotonic() >= until:  # whatever the ended connection made of it, such as a reset
-                    raise SensorError(
-                        f"{self.url} did not finish its answer's header within {2 * timeout_s:g} s."
-                    )
+            if time.monotonic() >= until:  # whatever the ended connection made of it, such as a reset
+                raise SensorError(
+                    f"{self.url} did not finish its answer's header within {2 * timeout_s:g} s."
+                )
             undone.pop_all()  # it answers; the connection stays open
         self.headers = self._response.headers
         self._dechunk = Dechunker() if self._response.chunked else None
