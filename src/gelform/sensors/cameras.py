@@ -218,7 +218,7 @@ def set_controls(capture: cv2.VideoCapture, settings: Settings, led_levels: int,
             _set(capture, which, float(settings[setting]), setting, name)
     if "led_level" in settings:
         level = float(settings["led_level"])
-        if not (led_levels and level == int(level) and 0 <= level <= led_levels):
+        if not (led_levels and level.is_integer() and 0 <= level <= led_levels):
             allowed = (
                 f"a whole number from 0 to {led_levels}" if led_levels else "none: it cannot be set here"
             )
