@@ -130,9 +130,8 @@ class Memory:
         self.reconstruct, self.standing = reconstruct, standing  # for the coming frames
         # Its depth counts as 0: `zero_from_results`; None: the gel at rest.
         self.zero: Reconstruction | None = None
-        self.examine: Callable[[Work], None] = lambda work: (
-            work()
-        )  # makes slow work; another may make it elsewhere
+        # Makes slow work; another function may make it elsewhere.
+        self.examine: Callable[[Work], None] = lambda work: work()
         self._frozen, self._examination = Frozen(), Examination()
         self._examined: DriftEvidence | None = None
         self._light: tuple[Finding, ...] = ()

@@ -289,11 +289,12 @@ class Marks:
         self._stays[:] = np.where(_dilated(odd, 1), np.minimum(self._stays + 1, 250), 0)
         largest = _largest_marks(odd & (self._stays >= MARK_STAYS), change, evidence.contact)
         findings = []
-        for name in filter(largest.__contains__, _WORDS):
-            area, length, brighter = largest[name]
-            share = area / odd.size
-            message = _WORDS[name].format(length=length, percent=100 * share, change=100 * brighter)
-            findings.append(Finding(name, message, share if name == "tear" else length))
+        for name, words in _WORDS.items():
+            if name in largest:
+                area, length, brighter = largest[name]
+                share = area / odd.size
+                message = words.format(length=length, percent=100 * share, change=100 * brighter)
+                findings.append(Finding(name, message, share if name == "tear" else length))
         return tuple(findings)
 
 
