@@ -379,9 +379,24 @@ def comparison_picture(
 ) -> Image:
     """The image, both depths on one scale, their difference, and both profiles through A's deepest point.
 
-    The results are of the same image (H, W, 3) RGB, by two calibrations of these names; the picture is (h, w, 3) uint8, RGB.
+    Parameters
+    ----------
+    a, b : results of the same image
+    image : (H, W, 3) RGB
+    names : of the two calibrations
 
-    DataError: the results differ in size. GelformError: matplotlib is not installed. ValueError: the image has another size.
+    Returns
+    -------
+    picture : (h, w, 3) uint8, RGB
+
+    Raises
+    ------
+    DataError
+        The results differ in size.
+    GelformError
+        matplotlib is not installed.
+    ValueError
+        The image has another size.
     """
     compared = compare_results(a, b)
     shown = check_image(image, shape=a.shape).astype(np.uint8)
