@@ -9,7 +9,8 @@ import math
 import time
 from contextlib import contextmanager
 from dataclasses import replace
-from threading import Event, Thread
+from queue import Queue
+from threading import Event, Thread, current_thread
 
 import numpy as np
 import pytest
@@ -359,6 +360,15 @@ class Stepwise:
 
     def close(self):
         self.closed.set()
+
+
+def test_slow_work_is_made_on_a_thread_of_its_own(reconstruct, at_rest):
+    memory, makers = Memory(reconstruct), Queue()
+    memory.examine(lambda: makers.put(current_thread().name))
+    assert makers.get(timeout=0) == current_thread().name, "alone, it is made at once"
+    with running(ImageSource(at_rest), memory):
+        memory.examine(lambda: makers.put(current_thread().name))
+        assert makers.get(timeout=60) == "gelform examine"
 
 
 def test_an_error_in_the_last_stage_arrives_too(reconstruct, at_rest):

@@ -204,11 +204,15 @@ MARKED_SHAPE = (160, 200)
 REST = np.full((*MARKED_SHAPE, 3), 100.0)
 
 
-def marks_in(images, contact=None):
+def marks_found(images, contact=None):
     marks, rng = Marks(), np.random.default_rng(0)
     for image in images:
         found = marks(evidence(image + rng.normal(0, 0.2, image.shape), REST, contact=contact))
-    return [finding.name for finding in found]
+    return found
+
+
+def marks_in(images, contact=None):
+    return [finding.name for finding in marks_found(images, contact)]
 
 
 @pytest.mark.parametrize("fault", [scratch, dust, tear])
@@ -216,6 +220,15 @@ def test_each_is_named_when_it_stays(fault):
     marked = fault(REST, np.random.default_rng(8))
     assert marks_in([REST] * 5) == marks_in([REST, marked, marked]) == []
     assert marks_in([REST, marked, marked, marked]) == [fault.__name__]
+
+
+@pytest.mark.parametrize("turn", [1, -1], ids=["the smaller first", "the larger first"])
+def test_of_several_marks_the_largest_is_said(turn):
+    y, x = np.mgrid[: MARKED_SHAPE[0], : MARKED_SHAPE[1]]
+    spots = (np.hypot(x - 50, y - 40) < 3) | (np.hypot(x - 140, y - 110) < 5)
+    (found,) = marks_found([np.where(spots[..., None], 80.0, REST)[::turn]] * 4)
+    assert found.name == "dust"
+    assert found.figure == pytest.approx(10, abs=2)
 
 
 def test_what_comes_and_goes_or_rests_there_is_no_mark():

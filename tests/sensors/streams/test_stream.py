@@ -61,6 +61,8 @@ def test_it_waits_while_something_moves_says_so_and_begins_then(unpressed):
         source.touched = False
         result = stream.newest(timeout_s=20).result
         assert "starter" in [finding.name for finding in result.health]
+        begun = stream._memory
+        assert begun.memory.examine is begun.examine, "slow work is made where the pipeline says"
         assert abs(result.peak_mm) < 0.05
         source.images = unpressed[0.4]
         until(lambda: stream.latest(max_age_s=5).peak_mm > 0.3)
