@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 import re
 import stat
@@ -192,7 +193,7 @@ UNKNOWN = -1.0  # OpenCV's value of a control that the camera lacks
 
 
 def check_settings(settings: Settings) -> dict[str, float | str]:
-    """Check that settings can be applied; ValueError for an unknown name or a value that is no number or format."""
+    """Check that settings can be applied; ValueError for an unknown name or a value that is no finite number or format."""
     unknown = [name for name in settings if name not in SETTABLE]
     if unknown:
         raise ValueError(
@@ -201,6 +202,9 @@ def check_settings(settings: Settings) -> dict[str, float | str]:
     fourcc = str(settings.get("fourcc", "MJPG"))
     if len(fourcc) != 4 or not fourcc.isascii():
         raise ValueError(f"Expected fourcc as four letters, such as MJPG or YUYV, got {fourcc!r}.")
+    for name, value in settings.items():
+        if name != "fourcc" and not math.isfinite(float(value)):
+            raise ValueError(f"Expected {name} as a finite number, got {value}.")
     return {name: str(value) if name == "fourcc" else float(value) for name, value in settings.items()}
 
 
@@ -218,7 +222,7 @@ def set_controls(capture: cv2.VideoCapture, settings: Settings, led_levels: int,
             _set(capture, which, float(settings[setting]), setting, name)
     if "led_level" in settings:
         level = float(settings["led_level"])
-        if not (led_levels and level.is_integer() and 0 <= level <= led_levels):
+        if not (led_levels and level == int(level) and 0 <= level <= led_levels):
             allowed = (
                 f"a whole number from 0 to {led_levels}" if led_levels else "none: it cannot be set here"
             )
