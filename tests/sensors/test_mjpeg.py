@@ -276,6 +276,14 @@ def test_a_camera_that_sends_no_pictures_is_lost_though_it_sends(monkeypatch, he
         taken([first, 0.1, *pieces], 2, header)
 
 
+def test_a_stream_whose_parts_are_no_pictures_is_no_camera(monkeypatch):
+    monkeypatch.setattr("gelform.sensors.mjpeg.OPEN_S", 0.3)
+    text = [b"--frame\r\nContent-Length: 4\r\n\r\ntext\r\n", 0.02] * 100
+    said = r"answers, but sent no JPEG picture within 0\.3 s"
+    with MjpegServer(text, HEADER) as server, pytest.raises(SensorError, match=said):
+        MjpegUrl(server.url)
+
+
 def test_an_answer_that_comes_byte_by_byte_ends_also_where_its_end_resets_the_connection(monkeypatch):
     drip = [piece for one in b"HTTP/1.1 200 OK\r\nX: " + b"a" * 400 for piece in (bytes([one]), 0.02)]
     with MjpegServer(drip, b"") as server, pytest.raises(SensorError, match="did not finish its answer"):

@@ -68,9 +68,9 @@ class MjpegUrl(Closing):
             self._arrived = self._parts(first)
             until = time.monotonic() + OPEN_S
             while (shape := next(filter(None, map(jpeg_shape, self._arrived)), None)) is None:
-                if (left := until - time.monotonic()) <= 0:
+                if time.monotonic() >= until:
                     raise SensorError(f"{self.url} answers, but sent no JPEG picture within {OPEN_S:g} s.")
-                self._arrived = self._read(left)
+                self._arrived = self._read(OPEN_S)  # the time that is left may be too short for a piece
             undone.pop_all()  # it sends pictures; the connection stays open
         self._reduction = reduction_of(shape)
         self.settings: dict[str, float | str] = {
