@@ -523,11 +523,12 @@ def test_a_small_file_cannot_take_the_memory_or_for_ever(tmp_path, name):
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
-def test_a_name_that_stands_often_is_not_read_each_time(tmp_path, monkeypatch):
-    """By its name, each entry would be the last one, which is far larger than the others declare."""
-    with zipfile.ZipFile(tmp_path / "net.pth", "w", zipfile.ZIP_DEFLATED) as archive:
-        for size in (1, 1, 10**6):
-            archive.writestr("net/data.pkl", bytes(size))
+@pytest.mark.parametrize("others", [["data.pkl"] * 2, ["constants.pkl"]], ids=["a name often", "TorchScript"])
+def test_other_archives_are_refused_before_anything_is_read(tmp_path, monkeypatch, others):
+    """By its name, each entry of a name would be the last one, which may be far larger than the others declare."""
+    with zipfile.ZipFile(tmp_path / "net.pth", "w") as archive:
+        for name in (*others, "data.pkl"):
+            archive.writestr(f"net/{name}", b"\x80\x02}.")
     monkeypatch.delattr("zipfile.ZipFile.read")
     with pytest.raises(gelform.DataError, match=r"Expected weights of torch\.save"):
         read_gs_sdk(tmp_path / "net.pth", BACKGROUND)

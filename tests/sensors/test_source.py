@@ -32,6 +32,8 @@ def test_a_folder_also_of_blue_green_red_and_what_cannot_be_set(tmp_path):
     np.testing.assert_array_equal(other.image, image)
     with open_source(tmp_path, bgr=True) as source:
         assert (source.name, source.live, other.encoded) == (tmp_path.name, False, None)
+        frames = iter(source)
+    assert list(frames) == [], "the end of the block closes the source that it turns"
     assert open_source(str(tmp_path), paced=True).live
     for spec in ("simulated", tmp_path):
         with pytest.raises(SensorError, match="is no USB camera: exposure cannot be set"):

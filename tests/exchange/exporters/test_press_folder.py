@@ -30,6 +30,7 @@ from gelform.exchange.exporters.press_folder import (
     write_png,
     written_whole,
 )
+from gelform.image.view import View
 from gelform.sensors import read_sensor_toml, sensor_from_settings
 from gelform.sensors.files import SensorSettings
 from gelform.simulate import LAYOUTS, Coating, Coin, Twin, simulate_ball_presses, simulate_press
@@ -85,6 +86,10 @@ def test_images_are_rgb_and_rounded_tables_have_a_header_and_names_are_any(tmp_p
     for serial in ({}, {"serial": "D\\20"}):
         said = tomlkit.loads(toml_of_settings(SensorSettings(name, 0.3, **serial)))
         assert said == {"name": name, "mm_per_px": 0.3, **serial}
+    unit = {"mm_per_px_sigma": 0.01, "make": "digit", "serial": "D20", "gel_id": "g"}
+    whole = SensorSettings("G", 0.3, **unit, view=View((30, 40), flip="x"), camera={"exposure": 50.0})
+    (tmp_path / "sensor.toml").write_text(toml_of_settings(whole))
+    assert read_sensor_toml(tmp_path / "sensor.toml") == whole
 
 
 QUOTED = replace(SMALL, name='a "quoted" name')
