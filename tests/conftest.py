@@ -29,6 +29,7 @@ from gelform.simulate import (
     simulate_press,
 )
 from kernel_agreement import usable_isas
+from made.sources import video_file
 from made_once import MadeOnce
 
 DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -215,13 +216,10 @@ def forms(frames, tmp_path_factory):
     """Path by form; the video is without loss (FFV1)."""
     base = tmp_path_factory.mktemp("forms")
     recording = McapRecording(base / "a.mcap", RecordingFacts("ring", "S7", {"exposure": 50.0}, RATE_HZ))
-    height, width = frames[0].image.shape[:2]
-    video = cv2.VideoWriter(str(base / "c.avi"), cv2.VideoWriter.fourcc(*"FFV1"), RATE_HZ, (width, height))
     (base / "d").mkdir()
     for frame in frames:
         recording.write(frame)
-        video.write(np.ascontiguousarray(frame.image[..., ::-1]))
         cv2.imwrite(str(base / "d" / f"{frame.index:03d}.png"), frame.image[..., ::-1])
     recording.close()
-    video.release()
-    return {"mcap": base / "a.mcap", "video": base / "c.avi", "images": base / "d"}
+    video = video_file(base / "c.avi", [frame.image for frame in frames], "FFV1", RATE_HZ)
+    return {"mcap": base / "a.mcap", "video": video, "images": base / "d"}

@@ -31,6 +31,7 @@ from gelform.simulate import (
     simulate_sequence,
     slide_poses,
 )
+from made.sources import video_file
 
 SHAPE = (36, 48)
 NOISE = 0.3
@@ -182,14 +183,6 @@ HOLD, RAMP, REST = 8, 4, 5
 Filmed = namedtuple("Filmed", "path images holds slides stills")
 
 
-def write(path, images, codec="FFV1"):
-    height, width = images[0].shape[:2]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 25.0, (width, height))
-    for image in images:
-        writer.write(cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-    writer.release()
-
-
 @pytest.fixture(scope="module")
 def filmed(sensor, tmp_path_factory):
     """A hand presses a ball at the places of `simulate_ball_presses`, trembling; once it slides, once it rolls."""
@@ -213,7 +206,7 @@ def filmed(sensor, tmp_path_factory):
             poses += [*path(press.press_depth_mm, (-5, -3), (5, 3), 25), *[Pose(-0.1)] * REST]
     images = [p.image for p in simulate_sequence(sensor, Ball(BALL_MM / 2), poses, rng=rng)]
     path = tmp_path_factory.mktemp("video") / "presses.avi"
-    write(path, images)
+    video_file(path, images, "FFV1")
     return Filmed(path, images, holds, slides, stills)
 
 
@@ -307,7 +300,7 @@ def test_a_video_calibrates_nearly_as_well_as_stills(filmed, read):
 
 def test_a_background_that_is_given_is_used(filmed, sensor, tmp_path):
     first, last = filmed.holds[0][0] - RAMP, filmed.holds[2][1]
-    write(tmp_path / "busy.avi", [f for k, f in enumerate(filmed.images[:last]) if k > first])
+    video_file(tmp_path / "busy.avi", [f for k, f in enumerate(filmed.images[:last]) if k > first], "FFV1")
     bgr = cv2.cvtColor(filmed.stills.background, cv2.COLOR_RGB2BGR)
     cv2.imwrite(str(tmp_path / "rest.png"), bgr)
     read = gelform.read_presses(
@@ -318,7 +311,11 @@ def test_a_background_that_is_given_is_used(filmed, sensor, tmp_path):
 
 
 def test_a_video_of_blue_green_red_is_read_so(filmed, read, how, tmp_path):
-    write(tmp_path / "bgr.avi", [image[..., ::-1] for image in filmed.images[: filmed.holds[2][1] + REST]])
+    video_file(
+        tmp_path / "bgr.avi",
+        [image[..., ::-1] for image in filmed.images[: filmed.holds[2][1] + REST]],
+        "FFV1",
+    )
     swapped = gelform.read_presses(tmp_path / "bgr.avi", **how, bgr=True)
     assert [frame_of(press) for press in swapped.presses] == [frame_of(press) for press in read.presses[:3]]
     for one, other in zip(
