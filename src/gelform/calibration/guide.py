@@ -269,11 +269,15 @@ def calibrate_guided(
         ball_diameters_mm=[press.ball_diameter_mm for press in presses.presses],
         mm_per_px=presses.mm_per_px,
         name=presses.sensor_name,
-        mm_per_px_sigma=presses.mm_per_px_sigma,
-        serial=presses.serial or "",
-        make=presses.make or "",
-        gel_thickness_mm=presses.geometry.gel_thickness_mm,
-        camera=presses.camera,
+        settings=SensorSettings(
+            presses.sensor_name,
+            presses.mm_per_px,
+            presses.mm_per_px_sigma,
+            serial=presses.serial or "",
+            make=presses.make or "",
+            gel_thickness_mm=presses.geometry.gel_thickness_mm,
+            camera=presses.camera,
+        ),
     )
     calibration.save(folder / "calibration.npz")
     with written_file(folder / "report.html") as handle:

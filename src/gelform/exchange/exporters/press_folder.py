@@ -11,7 +11,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -294,18 +294,18 @@ def save_press_folder(
     ball_diameters_mm: Sequence[float],
     mm_per_px: float,
     name: str,
+    settings: SensorSettings | None = None,
     centers_px: Sequence[tuple[float, float]] | None = None,
     contact_radii_px: Sequence[float] | None = None,
     truths: Sequence[Mapping[str, ArrayLike]] | None = None,
     progress: Progress = no_progress,
-    **known: Any,
 ) -> Path:
     """Write presses of balls as the folder that `calibrate` reads.
 
     Writes background.png, presses.csv, sensor.toml, images/0000.png, ... and, with `truths`, truth/0000.npz, ... into a
     temporary folder, and renames that when it is complete. The background and each image are (H, W, 3) RGB, 0-255; `name` is
-    the sensor's; centers and radii are labels, known for simulated presses; each of `truths` is arrays by name, such as
-    depth_mm; `known` is what else `SensorSettings` holds of the sensor, such as its serial number.
+    the sensor's; `settings` holds what else is known of it, such as its serial number. Centers and radii are labels, known
+    for simulated presses; each of `truths` is arrays by name, such as depth_mm.
 
     DataError: the folder is not empty or cannot be written.
     ValueError: lists differ in length, images differ in size, or numbers are not positive.
@@ -316,6 +316,8 @@ def save_press_folder(
     if truths is not None and len(check_list(truths, "truths", Mapping)) != len(images):
         raise ValueError(f"Expected {len(images)} truths, one per image, got {len(truths)}.")
     check_is(name, str, "name")
+    if settings is not None:
+        check_is(settings, SensorSettings, "settings")
     pitch = check_mm_per_px(mm_per_px)[0]
     height, width = check_image(background, name="background").shape[:2]
     with written_whole(target) as partial:
@@ -328,8 +330,8 @@ def save_press_folder(
                 np.savez_compressed(partial / f"truth/{k:04d}.npz", **dict[str, Any](truths[k]))
             progress(k + 1, len(images), "writing presses")
         write_csv(partial / "presses.csv", rows)
-        settings = SensorSettings(name, pitch, **known)
-        (partial / "sensor.toml").write_text(toml_of_settings(settings), encoding="utf-8")
+        own = replace(settings or SensorSettings(name, pitch), name=name, mm_per_px=pitch)
+        (partial / "sensor.toml").write_text(toml_of_settings(own), encoding="utf-8")
     return target
 
 
