@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from unittest.mock import patch
 
 import numpy as np
 
@@ -154,12 +153,8 @@ def of_units(
 
 
 def unit_of(starter: Starter, background: np.ndarray, mm_per_px: float | None = None) -> gelform.Calibration:
-    """The calibration of a unit whose background is known to show an untouched gel.
-
-    The starter of one unit can take another one's gel, or its own rim, for something that touches. Shipped ones do not.
-    """
-    with patch.object(Starter, "check_untouched"):
-        return starter.for_unit(background, mm_per_px=mm_per_px)
+    """The calibration of a unit from its background."""
+    return starter.for_unit(background, mm_per_px=mm_per_px)
 
 
 def color_variance(starter: Starter, presses: Presses) -> float:
@@ -209,7 +204,7 @@ def light_at_scale(starter: Starter, mm_per_px: float) -> np.ndarray:
     wider = mm_per_px / starter.calibration.known_mm_per_px
     places = pixel_places(np.arange(width), np.arange(height), (height, width))
     image = levels_from_light(starter.light, *(0.5 + wider * (along - 0.5) for along in places))
-    return light_from_background(image)[0]
+    return light_from_background(image)
 
 
 def common_models(
@@ -222,7 +217,7 @@ def common_models(
         parts.append(as_first(training_samples(*one), mean, presses))
     common = HierarchicalModel.fit(joined(parts), ridge=RIDGE)
     for presses, one, calibration in zip(units, pressed, own):
-        light = light_from_background(presses.background)[0]
+        light = light_from_background(presses.background)
         model, _ = replace(mean, calibration=replace(made, color_model=common)).models_for(
             light, presses.mm_per_px
         )
@@ -243,7 +238,7 @@ def pressed_of(presses: Presses, offset: float) -> tuple[list[PreparedPress], li
 
 def as_first(samples: Samples, mean: Starter, presses: Presses) -> Samples:
     """Samples of a unit as they were on the first one's images, under the mean light: those that lie on them."""
-    made, light = mean.calibration, light_from_background(presses.background)[0]
+    made, light = mean.calibration, light_from_background(presses.background)
     wider = presses.mm_per_px / made.known_mm_per_px
     nodes = gain_between(light, mean.light, made.change.offset, samples.shape, wider)
     gain = at_pixels(nodes, *interpolation(samples.x_px, samples.y_px, samples.shape))

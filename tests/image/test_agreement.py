@@ -4,6 +4,7 @@ Backgrounds that do not belong to an image, to a set of frames or to the sensor 
 """
 
 import re
+from contextlib import suppress
 from itertools import product
 
 import numpy as np
@@ -14,17 +15,16 @@ from gelform.errors import CalibrationError
 from gelform.image import agreement
 from gelform.image.agreement import (
     READINGS,
-    TOUCHED_SHARE,
     UNLIKE,
     UPRIGHT,
     background_digest,
     check_background_of_frames,
     check_own_background,
-    check_untouched,
     check_viewed_image,
     compared,
-    largest_touch,
     orientation_from_image,
+    touch_in,
+    touch_in_first,
 )
 from gelform.image.light import block_means, gain_from_blocks
 from gelform.image.view import View, image_from_frame
@@ -95,46 +95,35 @@ def test_every_reading_of_real_presses_is_named(data, name):
                 assert unlike == (reading != UPRIGHT), "the cheap question first loses nothing"
 
 
-def touched_share(image, background):
-    return largest_touch(block_means(np.asarray(image, dtype=np.float32)), block_means(background))
-
-
 def test_a_touch_is_found_at_its_place_under_any_light(press, simulated, light):
-    share, center = touched_share(np.clip(press.image * light, 0, 255), simulated.background)
-    assert 1 < share / press.contact.mean() < 4  # with the gel that it draws down
-    off = np.multiply(center, press.image.shape[1::-1]) - press.center_px
+    found = touch_in(np.clip(press.image * light, 0, 255), simulated.background)
+    off = np.subtract((found.x_px, found.y_px), press.center_px)
     assert np.hypot(*off) < press.contact_radius_px
-    assert touched_share(np.clip(simulated.background * light, 0, 255), simulated.background)[0] < 0.002
+    assert touch_in(np.clip(simulated.background * light, 0, 255), simulated.background) is None
 
 
-def test_a_pressed_background_is_refused_with_its_place(press, simulated):
-    with pytest.raises(
-        CalibrationError, match=r"Something touches the gel .* about \(\d+, \d+\) px: \d+\.\d % of it"
-    ):
-        check_own_background(press.image.astype(np.float32), simulated.background)
+def test_the_touched_one_of_two_images_is_told(press, simulated):
+    untouched, touched = simulated.background, press.image.astype(np.float32)
+    assert touch_in(untouched, touched) is not None
+    assert touch_in_first(untouched, touched) is None
+    assert touch_in_first(touched, untouched) is not None
+
+
+def test_a_pressed_background_is_found_with_its_place(press, simulated):
+    found = {one.name: one for one in check_own_background(press.image, simulated.background)}
+    assert re.search(r"about \(\d+, \d+\) px", found["background_touched"].message)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["mini-ball", "mini-d", "digit-ball", "gelsight-ball-deep"])
-def test_real_presses_are_no_background(data, name):
+@pytest.mark.parametrize("name", ["mini-ball", "mini-d", "digit-ball", "gelslim", "gelsight-ball-deep"])
+def test_half_of_a_real_press_is_found_in_a_background(data, name):
     presses = gelform.read_presses(data / name)
+    noise = np.random.default_rng(0).normal(0, 1, (2, *presses.background.shape))
+    calibrated = presses.background + noise[0]
     for press in presses.presses[::5]:
-        with pytest.raises(CalibrationError, match=r"Something touches the gel|is not of"):
-            check_own_background(press.image.astype(np.float32), presses.background)
-
-
-@pytest.mark.slow
-def test_less_is_a_touch_where_the_calibration_shows_contact(data):
-    presses = gelform.read_presses(data / "gelslim")
-    shown = np.ones(presses.background.shape[:2], dtype=bool)
-    images = [press.image.astype(np.float32) for press in presses.presses[::4]]
-    light = [image for image in images if touched_share(image, presses.background)[0] <= TOUCHED_SHARE]
-    assert len(light) >= 4
-    for image in light:
-        check_untouched(image, presses.background)
-        check_untouched(image, presses.background, ~shown)
-        with pytest.raises(CalibrationError, match="Something touches the gel"):
-            check_untouched(image, presses.background, shown)
+        today = (presses.background + press.image) / 2 + noise[1]
+        assert touch_in(today, calibrated) is not None, press.name
+    assert touch_in(presses.background + noise[1], calibrated) is None
 
 
 def test_own_background_gives_no_finding_with_a_third_of_the_frame_touched():
@@ -217,14 +206,14 @@ def tilted(background, amount):
     return (background * (1 + amount * x)).astype(np.float32)
 
 
-def test_own_background_of_another_moment_passes_and_another_units_is_refused():
+def test_own_background_of_another_moment_or_another_unit_is_found():
     assert check_own_background(scene(1), scene()) == ()
     (finding,) = check_own_background(tilted(scene(1), 0.07), scene())
     assert finding.name == "background_pattern"
     assert 0.02 < finding.figure < 0.06
-    expected = r"calibration is not of the sensor .* by \d\d\.\d % or more \(expected under 5.3 %\)"
-    with pytest.raises(CalibrationError, match=expected):
-        check_own_background(tilted(scene(1), 0.3), scene())
+    (finding,) = check_own_background(tilted(scene(1), 0.3), scene())
+    assert "or it is another unit" in finding.message
+    assert finding.figure > 0.06
 
 
 def presses_of(background, count):
@@ -293,19 +282,19 @@ def lying_check(image):
     return image if image.shape[0] < image.shape[1] else np.ascontiguousarray(np.rot90(image))
 
 
-def test_real_backgrounds_of_other_sensors_are_refused(data):
+def test_real_backgrounds_of_other_sensors_are_refused_and_of_other_units_found(data):
     """All pairs of six sensors, four of them of one model; a later moment of the same one passes, warned of."""
     rests = {name: lying_check(read_image(data / path)) for name, path in BACKGROUNDS.items()}
     for (ours, background), (theirs, other) in product(rests.items(), repeat=2):
         if ours == theirs:
             assert check_own_background(other, background) == ()
             continue
-        blamed = "no new one helps: use this sensor's own calibration"
-        with pytest.raises(
-            CalibrationError,
-            match=blamed if ours[:4] == theirs[:4] else r"is not of the sensor|compared with",
-        ):
-            check_own_background(other, background)
+        found = {"refused"}
+        with suppress(CalibrationError):
+            found = {one.name for one in check_own_background(other, background)}
+        # Of one unit, a channel is beyond the gains that an exposure has.
+        assert found & ({"refused", "background_pattern"} if ours[:4] == theirs[:4] else {"refused"})
+        assert ours[:4] == theirs[:4] or found == {"refused"}
     later = lying_check(read_image(data / "digit-ball/background_other_moment.png"))
     assert "background_pattern" in [one.name for one in check_own_background(later, rests["digit"])]
 

@@ -36,6 +36,7 @@ def calibrate(
     color_model: str = "auto",
     start: Calibration | str | PathLike[str] | None = AUTO,
     compare: bool = False,
+    accept_background: bool = False,
     progress: Progress = no_progress,
 ) -> Calibration:
     """Calibrate a sensor from presses of a ball.
@@ -52,6 +53,7 @@ def calibrate(
         Its model is kept where these presses give no other information, so five presses suffice. "auto" also tries the
         starter of a known make, and keeps it if held-out presses are not read worse; None tries none.
     compare : whether every color model is tried on the same folds, for the report's table; the selection stays the same
+    accept_background : whether a background in which something seems to touch the gel is used as it is; a note says so then
     progress : called with (done, total, what)
 
     Returns
@@ -62,14 +64,14 @@ def calibrate(
     Raises
     ------
     CalibrationError
-        Too few presses fit; the message has the reason for each rejected one.
+        Too few presses fit, and the message has the reason for each rejected one; something touches the background.
     ValueError, TypeError
         An unknown color model, a start that cannot be one, or no presses.
     """
     began = time.monotonic()
     presses = as_presses(presses, progress=progress)
     candidates_for(color_model, len(presses.presses))  # an unknown name fails before any work
-    check_inputs(presses)
+    accepted = check_inputs(presses, accept_background)
     untried: tuple[str, ...] = ()
     if start is None:
         first_unit, (known, _) = None, starter_start(presses, color_model)
@@ -81,7 +83,7 @@ def calibrate(
 
     located = locate(presses, first_unit, progress=progress)
     balls = ball_readings(located, known)
-    located = replace(located, notes=(*first_notes(presses, balls), *untried, *located.notes))
+    located = replace(located, notes=(*accepted, *first_notes(presses, balls), *untried, *located.notes))
     check_places(located)
     folds = make_folds(located, progress=progress)
     fitted = fit(located, folds, color_model, compare=compare, progress=progress)

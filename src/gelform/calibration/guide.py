@@ -43,6 +43,7 @@ from gelform.errors import CalibrationError, DataError, Finding, GelformError, P
 from gelform.exchange.exporters.press_folder import save_press_folder, toml_of_settings
 from gelform.foundations.checks import check_sensor_pitch
 from gelform.foundations.files import made_folder, picture_bytes, written_file
+from gelform.image.agreement import touch_in
 from gelform.image.background import USUAL_FRAMES, ChangeSettings, background_from_frames, surround_finding
 from gelform.image.view import Frame, View, image_from_frame
 from gelform.sensors.files import SensorSettings
@@ -259,7 +260,8 @@ def calibrate_guided(
     The new folder is below `folder`, and is named by the time. GelformError: the presses do not fit, or the folder cannot be
     written.
     """
-    calibration = calibrate(presses, progress=progress)
+    # The page has shown what seemed to touch the gel; the report notes it again.
+    calibration = calibrate(presses, accept_background=True, progress=progress)
     folder = folder / named_by_time("calibration")
     content = report_content(presses, calibration, rng=np.random.default_rng(0))
     save_press_folder(
@@ -482,13 +484,19 @@ class Guide:
             return
         try:
             taken = background_from_frames(self._untouched)
-            starter = starter_for(self.settings.make, taken.background.shape[:2])
-            if starter is not None and self._refusals < 5:  # some seconds; then the gel is damaged
-                self._refusals += 1
-                starter.check_untouched(taken.background)
         except GelformError as problem:
             self._untouched, self.hint = [], f"{problem} Touch nothing: the page tries again."
             return
+        starter = starter_for(self.settings.make, taken.background.shape[:2])
+        if starter is not None and self._refusals < 5:  # some seconds; then the gel is damaged
+            self._refusals += 1
+            if touch := touch_in(taken.background):
+                said = touch.finding("smooth light").message
+                self._untouched, self.hint = (
+                    [],
+                    f"{said} Touch nothing: the page tries again.",
+                )
+                return
         self._background, self._noise = np.rint(taken.background).astype(np.float32), taken.noise
         self._surround = surround_finding(
             self._background,

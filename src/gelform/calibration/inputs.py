@@ -12,7 +12,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
@@ -23,11 +22,7 @@ from gelform.calibration.circles.find import (
     TRIAL_SAMPLES,
     ContactCircle,
     PreparedPress,
-    about_median,
     contact_samples,
-    distances_px,
-    find_contact,
-    magnitude,
     parabola_offset,
     ring_mean,
     scale_of,
@@ -39,8 +34,8 @@ from gelform.calibration.coverage import NEEDED, SAMPLED, coverage_notes
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.start import Start
 from gelform.errors import CalibrationError
-from gelform.image.agreement import check_background_of_frames, orientation_if_doubtful
-from gelform.image.background import color_change_from_image, surround_finding
+from gelform.image.agreement import Touch, check_background_of_frames, orientation_if_doubtful, touch_in_first
+from gelform.image.background import surround_finding
 from gelform.sensors.profiles import PROFILES, SAME_SCALE, check_gel_width, light_order_of, scale_off_make
 from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
 
@@ -183,10 +178,11 @@ ELLIPTIC, ELLIPTIC_SIGMAS = 0.15, 3.0
 MAX_RESPONSE = 3.0
 
 
-def check_inputs(presses: Presses) -> None:
-    """Refuse a set without presses, with gray, turned, mirrored or BGR images, or with a contact in the background.
+def check_inputs(presses: Presses, accept_background: bool = False) -> tuple[str, ...]:
+    """Refuse a set without presses, with gray, turned, mirrored or BGR images, or with a touch in the background.
 
-    The CalibrationError names the images or the place of the contact, and the remedy.
+    A touch is noted instead, if the background is accepted as it is. The CalibrationError names the images or the place,
+    and the remedy.
     """
     if not presses.presses:
         count = len(presses.flats)
@@ -209,13 +205,15 @@ def check_inputs(presses: Presses) -> None:
             "everywhere. gelform reads slopes from light of three colors from three sides. Use a color camera's images."
         )
     _check_orientation(presses)
-    found = contact_in_background(presses)
-    if found is not None:
+    touch = touch_in_background(presses)
+    if touch is not None and not accept_background:
         raise CalibrationError(
-            f"The background of {presses.folder} has a contact in it, about ({found.x_px:.0f}, {found.y_px:.0f}) px, "
-            f"radius {found.radius_px:.0f} px. There it differs from most presses. Take the background image again, with "
-            "nothing touching the gel, or name another one with background= (--background)."
+            f"Something touches the gel in the background of {presses.folder}, about ({touch.x_px}, {touch.y_px}) px. There "
+            f"it differs from most presses, {touch.ratio:.1f} times as much as elsewhere. Take the background image again, "
+            "with nothing touching the gel, or name another one with background= (--background). If nothing touches, "
+            "accept it with accept_background=True (--accept-background)."
         )
+    return () if touch is None else (f"Accepted as asked. {touch.finding('most presses').message}",)
 
 
 def _check_orientation(presses: Presses) -> None:
@@ -237,27 +235,17 @@ def _check_orientation(presses: Presses) -> None:
         )
 
 
-def contact_in_background(presses: Presses) -> ContactCircle | None:
-    """The contact in the background, or None; five presses or more are needed to find it.
+def touch_in_background(presses: Presses) -> Touch | None:
+    """What seems to touch the gel in the background, or None; five presses or more are needed to find it.
 
-    Each place is at rest in most presses, so their median shows the gel at rest. The background is touched if it differs
-    from the median as a contact does, and is the rougher of the two. The second condition excludes presses at one place,
-    whose median is itself touched.
+    Each place is at rest in most presses, so their median shows the gel at rest. Of presses at one place, the median is
+    itself touched, and has the structure.
     """
     count = len(presses.presses)
     if not NEEDED.median.met(count):
         return None
-    images = np.stack([presses.presses[k].image for k in _some(count)])
-    untouched = np.median(images, axis=0).astype(np.float32)
-    change = color_change_from_image(presses.background, untouched)
-    change = cv2.GaussianBlur(change, (0, 0), 1.25 * scale_of(presses.image_shape))
-    found = find_contact(change)
-    if why_no_contact(found) is not None:
-        return None
-    inside = distances_px(change.shape, found.x_px, found.y_px) < 1.2 * found.radius_px
-    size = magnitude(about_median(change))
-    rougher = _roughness(presses.background, inside) / max(_roughness(untouched, inside), 1e-9)
-    return found if size[inside].mean() > 0.08 and rougher > 1.3 else None
+    untouched = np.median(np.stack([presses.presses[k].image for k in _some(count)]), axis=0)
+    return touch_in_first(presses.background, untouched)
 
 
 def _some(count: int) -> NDArray[np.intp]:
@@ -418,10 +406,3 @@ def light_response(prepared: Sequence[PreparedPress], contacts: Sequence[Contact
     """Change of color of each channel per slope (2, 3), by least squares over the balls."""
     samples = contact_samples(prepared, contacts, total=TRIAL_SAMPLES)
     return np.asarray(np.linalg.lstsq(samples.gradients, samples.color_change, rcond=None)[0])
-
-
-def _roughness(image: NDArray[np.float32], inside: NDArray[np.bool_]) -> float:
-    """Root mean square of the relative steps between neighboring pixels, after a slight blur."""
-    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
-    rows, cols = np.gradient(np.log(smooth + 10), axis=(0, 1))
-    return float(np.sqrt(np.mean((rows**2 + cols**2)[inside])))

@@ -66,7 +66,7 @@ def starter_start(presses: Presses, color_model: str) -> tuple[Start | None, tup
         except CalibrationError as problem:  # a make that is named wrongly does not make it that sensor
             why = why or str(problem).rstrip(".")
         else:
-            light, _ = light_from_background(presses.background)
+            light = light_from_background(presses.background)
             model, forward = starter.models_for(light, presses.mm_per_px)
             by = f"the starter of a {starter.make}"
             start = Start(model, forward, starter.calibration.digest, starter.spread, by, offered=not why)

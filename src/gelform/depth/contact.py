@@ -24,7 +24,6 @@ from gelform.foundations.checks import (
     value_range,
 )
 from gelform.foundations.filters import LANES, MEDIAN_SAMPLES, SIGMA_OF_MEDIAN, bessel_k, blur_taps
-from gelform.image.agreement import TOUCHED_SHARE
 from gelform.image.background import CHANGE_OFFSET
 
 _label_regions = Kernel("label_regions", "bool[h,w] mask, out u16[h,w] labels, out i32[n] work")
@@ -95,17 +94,16 @@ def contacts_from_mask(
 
 
 def unknown_contact(
-    contact: Mask, at_rest: Mask, known: Mask, touched_share: Callable[[], float]
+    contact: Mask, at_rest: Mask, known: Mask, is_touched: Callable[[], bool]
 ) -> tuple[Finding, ...]:
     """One finding if no contact (H, W) was found, but many known pixels do not have the color of rest.
 
-    `touched_share` gives the share of the largest region that no light explains: compressed video changes many colors a
-    little, a touch those of a region a lot.
+    `is_touched` says whether the image has the structure of a touch: compressed video changes many colors a little.
     """
     if contact.any():
         return ()
     touched = float(np.count_nonzero(known & ~at_rest)) / max(float(np.count_nonzero(known)), 1.0)
-    if touched < 0.05 or touched_share() < TOUCHED_SHARE:  # noise leaves the color of rest at 0.1 %
+    if touched < 0.05 or not is_touched():  # noise leaves the color of rest at 0.1 %
         return ()
     message = (
         f"Something touches the gel: {100 * touched:.0f} % of it changed. Where it presses and how deep is not known, "

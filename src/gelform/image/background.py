@@ -32,7 +32,7 @@ from gelform.foundations.filters import (
     medians_where,
 )
 from gelform.foundations.information import check_condition
-from gelform.image.agreement import compared, largest_touch
+from gelform.image.agreement import compared, touch_in
 from gelform.image.light import FrameLight, block_means, scale_of_light, without_light
 from gelform.image.view import DARK
 
@@ -158,9 +158,9 @@ class PreparedBackground:
         """
         return compared(block_means(image), self._blocks, self._usual)
 
-    def touched(self, image: Array) -> float:
-        """Share of an image (H, W, 3) in its largest region that no light explains."""
-        return largest_touch(block_means(image), self._blocks)[0]
+    def touched(self, image: Array) -> bool:
+        """Whether something seems to touch the gel in an image (H, W, 3)."""
+        return touch_in(image, self.background) is not None
 
     def bridged(self, image: Array, hidden: Mask) -> Array:
         """The image (H, W, 3) with hidden pixels (H, W), such as markers, filled by the color change around them.

@@ -21,7 +21,7 @@ from gelform.calibration.library import (
 )
 from gelform.depth.integrate import checked_solver
 from gelform.errors import Progress
-from gelform.image.agreement import check_untouched
+from gelform.image.agreement import touch_in
 from gelform.image.background import USUAL_FRAMES
 from gelform.live.hub import GuideSession, Hub, starter_of_station
 from gelform.live.lists import Calibrations, Recordings, shown_name
@@ -56,12 +56,12 @@ def take_background(hub: Hub, station: Station) -> None:
         return
     shown = _frames_at_rest(station)
     taken = background_from_frames([one.image for one in shown])
-    contacts = [one.result.contact for one in shown if one.result is not None]
-    check_untouched(taken.background, calibration.background, np.any(contacts, axis=0) if contacts else None)
     # Whole gray levels, so that the background in a recording is exactly the image in use.
     rest = np.rint(taken.background).astype(np.float32)
     station.setup = station.setup.taking(calibration, station.setup.name, rest)
-    hub.notice(_taken_from(len(shown) - len(taken.left_out)))
+    touch = touch_in(taken.background, calibration.background)
+    doubt = "" if touch is None else f" {touch.finding('the calibration').message} Undo goes back."
+    hub.notice(_taken_from(len(shown) - len(taken.left_out)) + doubt)
 
 
 def _taken_from(frames: int) -> str:

@@ -214,8 +214,8 @@ def test_a_background_that_something_touches_is_refused_once_and_a_dark_surround
     framed = np.pad(rest, ((0, 0), (40, 0), (0, 0)), constant_values=2)
     settings = SensorSettings("simulated-three-edges", layout.mm_per_px)
     for name, first, keys, taken, said in (
-        ("simulated-three-edges", touched, " ", touched, "Something touches the gel"),
-        ("simulated-three-edges", touched, "q", None, "Something touches the gel"),
+        ("simulated-three-edges", touched, " ", touched, "Something seems to touch the gel"),
+        ("simulated-three-edges", touched, "q", None, "Something seems to touch the gel"),
         ("simulated-three-edges", rest, "", rest, "^$"),
         ("another", touched, "", touched, "^$"),
         ("another", framed, "", framed, r"outside the gel.* --crop 4\d,0,\d+,\d+"),

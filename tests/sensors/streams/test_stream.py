@@ -22,6 +22,7 @@ from gelform.sensors import new_recording, record_frames
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.record import KEPT_FRAMES
 from gelform.sensors.streams.pipeline import feed_from_source
+from gelform.sensors.streams.stream import still_stretches
 from live_waiting import until
 from made.sources import ImageSource
 
@@ -76,8 +77,30 @@ def test_a_recording_begins_with_the_untouched_gel_and_loses_no_frame(unpressed)
     assert [result.index for result in results] == list(range(20))
     assert max(result.peak_mm for result in results[:16]) < 0.05
     assert min(result.peak_mm for result in results[16:]) == pytest.approx(0.4, abs=0.08)
+    moving = [one for pair in zip(unpressed[0.0], unpressed[0.4]) for one in pair]
     with pytest.raises(CalibrationError, match=r"first frames.*simulated-three-edges.*background="):
-        list(gelform.stream(ImageSource(images[12:], live=False, count=20), sensor=MAKE))
+        list(gelform.stream(ImageSource(moving, live=False, count=20), sensor=MAKE))
+
+
+def test_a_recording_that_begins_in_contact_takes_a_later_stretch_at_rest(unpressed):
+    images = [*unpressed[0.4] * 2, *unpressed[0.0]]
+    results = list(gelform.stream(ImageSource(images, live=False, count=len(images)), sensor=MAKE))
+    assert results[0].peak_mm == pytest.approx(0.4, abs=0.08)
+    assert results[-1].peak_mm < 0.05
+    assert "background_touched" not in {one.name for one in results[0].health}
+
+
+@pytest.mark.parametrize(("noise", "step"), [(0.0, 0.0), (1.0, 0.0), (1.0, 3.0)])
+def test_steps_that_a_film_has_at_rest_are_no_motion(noise, step):
+    """Compressed video steps by gray levels from image to image; a touch moves by more of them."""
+    rng = np.random.default_rng(0)
+    smooth = cv2.resize(rng.normal(0, step, (12, 6, 8, 3)).reshape(72, 8, 3), (80, 720)).reshape(
+        12, 60, 80, 3
+    )
+    film = 90 + smooth + rng.normal(0, noise, (12, 60, 80, 3))
+    film[8:, 20:40, 30:50] += 40
+    images = [np.clip(np.rint(one), 0, 255).astype(np.uint8) for one in film]
+    assert still_stretches(images) == [range(8), range(8, 12)]
 
 
 def test_a_background_that_is_given_wins(unpressed):

@@ -26,11 +26,10 @@ from gelform.calibration_file import Calibration, calibration_from_contents
 from gelform.errors import CalibrationError, Finding, SensorError
 from gelform.foundations.checks import check_image, check_is, check_mm_per_px, check_positive
 from gelform.foundations.files import damaged, read_npz, write_npz
-from gelform.image.agreement import READINGS
+from gelform.image.agreement import READINGS, touch_in
 from gelform.image.background import noise_from_image, surround_finding
 from gelform.image.markers import MarkerFollower
 from gelform.image.view import View, image_from_frame
-from gelform.reconstruct import Reconstructor
 from gelform.sensors.profiles import PROFILES, SENSORS, check_gel_width, make_of, view_from_camera
 from gelform.slopes.color_models.seam import StartableModel, node_positions
 
@@ -42,15 +41,13 @@ LEAST_ALIKE, SURELY_ALIKE = 0.7, 0.9
 # The pattern of a mirrored, turned or BGR image correlates better by at least this when it is read so. Left and right of a
 # Mini differ by less: 0.98 and 0.96.
 CLEARLY_ALIKE = 0.1
-# RMS of the logarithm about the surface: clean units 0.04-0.06, a Mini with the gel's rim in sight 0.11, touched ones more.
-ROUGH = 0.12
 
 
-def light_from_background(background: Array) -> tuple[Numbers, float]:
-    """The light of a background image (H, W, 3), 0-255, and the image's distance from it.
+def light_from_background(background: Array) -> Numbers:
+    """The light of a background image (H, W, 3), 0-255.
 
-    The light is (10, 3) coefficients of each channel's logarithm, polynomials of the third degree in x and y. The distance
-    is the RMS difference of the logarithms of about 16 x 12 blocks; dust, scratches and touches raise it.
+    It is (10, 3) coefficients of each channel's logarithm, polynomials of the third degree in x and y, fitted to about
+    16 x 12 blocks.
     """
     height, width = background.shape[:2]
     step = max(height, width) / BLOCKS
@@ -59,8 +56,7 @@ def light_from_background(background: Array) -> tuple[Numbers, float]:
     target = np.log(blocks.astype(np.float64) + OFFSET).reshape(-1, 3)
     x, y = ((np.arange(n) + 0.5) / n for n in size)
     design = _terms(*np.meshgrid(x, y))
-    light = np.linalg.lstsq(design, target, rcond=None)[0]
-    return light, float(np.sqrt(np.mean((design @ light - target) ** 2)))
+    return np.asarray(np.linalg.lstsq(design, target, rcond=None)[0])
 
 
 def levels_from_light(light: Numbers, x: Array, y: Array) -> Map:
@@ -109,7 +105,7 @@ def check_light(background: Array, light: Numbers, make: str) -> tuple[Finding, 
     Brightness and white balance are free: the pattern of colors over the gel is compared, not the pixels.
     CalibrationError: another make, a turned or mirrored image, or BGR. The message has the figure.
     """
-    own, rough = light_from_background(background)
+    own = light_from_background(background)
     alike = _alike(own, light)
     if alike < SURELY_ALIKE:
         _check_upright(background, light, make, alike)
@@ -124,15 +120,14 @@ def check_light(background: Array, light: Numbers, make: str) -> tuple[Finding, 
     if alike < SURELY_ALIKE:
         message = (
             f"The colors over this gel correlate by {alike:.2f} with those of a {make} (usual: {SURELY_ALIKE} or more). It "
-            "is another gel, or something touches it. Calibrate with presses of a ball before you trust a figure."
+            "is another gel. Calibrate with presses of a ball before you trust a figure."
         )
         findings.append(Finding("starter_light", message, alike))
-    if rough > ROUGH:
-        message = (
-            f"The background is uneven. Blocks differ by {100 * rough:.0f} % from a smooth light (usual: under "
-            f"{100 * ROUGH:.0f} %). Something touches the gel, or it is scratched, dusty or marked."
-        )
-        findings.append(Finding("uneven_background", message, rough))
+    if len(MarkerFollower(background)):
+        message = "The gel has markers, so gelform cannot tell whether something touches it in the background image."
+        findings.append(Finding("background_unchecked", message, 1.0))
+    elif touch := touch_in(background):
+        findings.append(touch.finding("smooth light"))
     return tuple(findings)
 
 
@@ -142,7 +137,7 @@ def _check_upright(background: Array, light: Numbers, make: str, alike: float) -
     Several readings are named where the light does not tell them apart.
     """
     turned = {
-        one: _alike(light_from_background(one.undone(background))[0], light)
+        one: _alike(light_from_background(one.undone(background)), light)
         for one in READINGS
         if not one.transposed
     }
@@ -178,9 +173,6 @@ def _alike(one: Numbers, other: Numbers) -> float:
 
 
 KIND, FORMAT_VERSION, MAX_BYTES = "gelform starter", 1, 4 * 2**20
-# Depth over its mean around it, and over its median, in the inner part of a background image that is read against its own
-# smooth light. Five units at rest 0.05-0.18 mm, presses of a ball on three of them 0.34 mm or more, a cube's edge 0.25 mm.
-TOUCHED_MM = 0.2
 FOLDER = files("gelform") / "calibration" / "starters"
 
 
@@ -234,8 +226,8 @@ class Starter:
         `view` makes images of its frames (identity by default); `mm_per_px` is the make's by default. In addition to their
         noise, its slopes have an error of `spread`; the standard deviations of results include it.
 
-        CalibrationError: the image is of another make, or dark or saturated in parts (`check_light`), or something touches
-        the gel. ValueError, TypeError: no RGB image, or another size; no `View`; a serial or gel that is no text.
+        CalibrationError: the image is of another make (`check_light`). ValueError, TypeError: no RGB image, or another size;
+        no `View`; a serial or gel that is no text.
         """
         for name, value, kind in (("view", view, View), ("serial", serial, str), ("gel_id", gel_id, str)):
             if value is not None:
@@ -243,10 +235,9 @@ class Starter:
         made = self.calibration
         image = check_image(background, shape=made.image_shape, name="background").astype(np.float32)
         findings = check_light(image, self.light, self.make)
-        self.check_untouched(image)
         pitch = made.known_mm_per_px if mm_per_px is None else float(check_mm_per_px(mm_per_px)[0])
         check_gel_width(made.image_shape, pitch, self.sensor)
-        model, forward = self.models_for(light_from_background(image)[0], pitch)
+        model, forward = self.models_for(light_from_background(image), pitch)
         sigma = made.slope_sigma
         assert sigma is not None
         record = {
@@ -281,38 +272,6 @@ class Starter:
         if view.is_identity:
             made = replace(made, view=view_from_camera(self.sensor, made.image_shape, made.mm_per_px))
         return made
-
-    def check_untouched(self, background: Map) -> None:
-        """Refuse a background image (H, W, 3) in which something touches the gel, as far as one image shows it.
-
-        It is read against its own smooth light, from which an object stands out. Markers, or the gel's rim in sight, stand
-        out as well, and nothing is refused then. CalibrationError: the message has the place and the depth.
-        """
-        made = self.calibration
-        if len(MarkerFollower(background, made.known_mm_per_px)):
-            return
-        light, _ = light_from_background(background)
-        model, forward = self.models_for(light, made.known_mm_per_px)
-        smooth = image_of_light(light, made.image_shape)
-        unit = replace(made, background=smooth, color_model=model, forward=forward)
-        try:
-            result = Reconstructor(unit).from_image(np.clip(np.rint(background), 0, 255).astype(np.uint8))
-        except CalibrationError:
-            return  # too uneven to be read so; `uneven_background` says it
-        if any(finding.name == "few_untouched" for finding in result.health):
-            return
-        top, left = (n // 8 for n in made.image_shape)  # at the border a smooth light fits worst
-        depth, around = np.where(result.known, result.depth_mm, np.float32(0)), made.image_shape[0] // 2
-        # a scratch lowers what is around it
-        level = np.maximum(cv2.blur(depth, (around, around)), np.median(depth))
-        over = (depth - level)[top:-top, left:-left]
-        row, column = np.unravel_index(int(over.argmax()), over.shape)
-        if over[row, column] > TOUCHED_MM:
-            raise CalibrationError(
-                f"Something touches the gel in this background image, about ({column + left}, {row + top}) px: it "
-                f"stands out {over[row, column]:.1f} mm from the image's own smooth light. Take it again, with nothing "
-                "touching the gel. If the gel is damaged there, calibrate with presses of a ball."
-            )
 
     def models_for(self, light: Numbers, mm_per_px: float) -> tuple[Any, Any]:
         """Color model and forward response of a unit with another light (10, 3) and scale, for its color changes.
@@ -352,7 +311,7 @@ def starter_from_calibration(
     color_variance: float = 1.0,
 ) -> Starter:
     """Make a starter from one unit's calibration; its background is replaced by thirty numbers."""
-    light, _ = light_from_background(calibration.background)
+    light = light_from_background(calibration.background)
     smooth = image_of_light(light, calibration.image_shape)
     plain = replace(calibration, background=smooth, view=View(), serial=None, gel_id=None, report=None)
     return Starter(sensor, plain, light, check_positive(spread, "spread"), units, color_variance)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import BadParameter, Option
 
 import gelform
-from gelform import CalibrationError, DataError, GelformError
+from gelform import DataError, GelformError
 from gelform.cli import options
 from gelform.cli.console import ShownOption, mistakes_in, print_json, say, show
 from gelform.cli.options import argument, number, option, usage_errors
@@ -293,6 +293,7 @@ def _space(key: Callable[[], str]) -> bool:
 def _at_rest(grabber: gelform.Grabber, key: Callable[[], str], settings: Any) -> list[Any]:
     """Frames of the gel at rest; if something seems to touch it, those of the next space bar, [] without one."""
     from gelform.calibration.starters import starter_for
+    from gelform.image.agreement import touch_in
     from gelform.image.background import surround_finding
 
     images = _fresh(grabber, BACKGROUND_FRAMES)
@@ -300,12 +301,9 @@ def _at_rest(grabber: gelform.Grabber, key: Callable[[], str], settings: Any) ->
     image = gelform.image_from_frame(rest, settings.view)
     if found := surround_finding(image, "--crop {}", viewed=not settings.view.is_identity):
         say(f"note: {found.message}")
-    starter = starter_for(settings.name, image.shape[:2])
-    try:
-        if starter is not None:
-            starter.check_untouched(image)
-    except CalibrationError as touched:
-        say(f"Not taken. {touched} Press the space bar again; it is taken then.")
+    if starter_for(settings.name, image.shape[:2]) is not None and (touch := touch_in(image)):
+        said = touch.finding("smooth light").message
+        say(f"Not taken. {said} Press the space bar again; it is taken then.")
         return _fresh(grabber, BACKGROUND_FRAMES) if _space(key) else []
     return images
 

@@ -19,11 +19,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform import Calibration, CalibrationError, Grabber, Reconstruction
+from gelform import Calibration, Grabber, Reconstruction
 from gelform.arrays import Array, Map, Mask, Numbers
 from gelform.errors import Finding
 from gelform.foundations.filters import robust_sigma
-from gelform.image.agreement import check_untouched, room_light_finding
+from gelform.image.agreement import room_light_finding, touch_in
 from gelform.image.light import FrameLight, block_means, light_at_rest, light_from_blocks, lit, without_light
 from gelform.image.registration import PreparedRegistration
 from gelform.sensors import Source, settings_mismatch
@@ -35,6 +35,7 @@ FOLLOW_S = 60.0  # s, time constant of adding mean images
 LEAST_FREE = 0.9  # fraction of the blocks that must be free of contact to fit the light, which the gel's halo resembles
 NO_MEASURE = {"beyond_gel", "dark", "exposure_unknown", "frozen", "saturated", "torn"}
 DIFFERENT = {"background_differs", "few_untouched", "not_this_gel"}  # contact all over, or another gel
+REFUSED = "background_refused"
 PER_GRAY_LEVEL = 256  # steps per gray level of a waiting mean image
 
 TOUCH_SIGMAS = 5.0  # standard deviations of noise by which a touched block changes
@@ -75,7 +76,7 @@ class BackgroundDrift:
     def __init__(self, background: Map, calibrated: Map | None = None) -> None:
         self.start = background
         self._calibrated = background if calibrated is None else calibrated
-        # Whether the background that was asked for last was not taken, because something touches the gel.
+        # Whether something seems to touch the gel in the background that was asked for last; whether it was taken.
         self.refused: tuple[Finding, ...] = ()
         self._local = background.astype(np.float32)
         self._local_blocks = block_means(self._local)
@@ -107,7 +108,7 @@ class BackgroundDrift:
             self._forget(time_s)
         self._last_s = time_s
         if self.asked:
-            self.asked, self._taking, self.refused = False, True, ()
+            self.asked, self._taking = False, True
             self._start_anew(time_s)
         names = {finding.name for finding in result.health}
         if names & NO_MEASURE:
@@ -127,16 +128,23 @@ class BackgroundDrift:
         return self._taken(time_s) if self._taking else self._step(time_s)
 
     def _taken(self, time_s: float) -> Map | None:
-        """Start again from the mean of the frames since the request; None if something touches the gel in it."""
+        """Start again from the mean of the frames since the request; None if something seems to touch the gel in it.
+
+        A second request in a row takes it all the same.
+        """
         self._taking = False
         mean = self._sum / np.float32(self._sum_count)
-        try:
-            check_untouched(mean, self._calibrated, self._contact)
-        except CalibrationError as touched:
-            message = f"The background was not taken. {touched}"
-            self.refused = (Finding("background_refused", message, 1.0),)
-            self._start_anew(time_s)
-            return None
+        touch = touch_in(mean, self._calibrated)
+        again, self.refused = any(one.name == REFUSED for one in self.refused), ()
+        if touch is not None:
+            found = touch.finding("the calibration's")
+            if not again:
+                message = f"The background was not taken. {found.message} Or ask once more: then it is taken as it is."
+                found = Finding(REFUSED, message, touch.ratio)
+            self.refused = (found,)
+            if not again:
+                self._start_anew(time_s)
+                return None
         self.start = self._local = mean
         self._local_blocks = block_means(self._local)
         self.light, self.usual = np.zeros((3, 4)), None

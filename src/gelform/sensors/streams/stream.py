@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 import weakref
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import pairwise
 from os import PathLike
 
 import numpy as np
@@ -28,7 +29,9 @@ from gelform import (
 from gelform.arrays import Array, Map
 from gelform.calibration.library import NoCalibration, choose_calibration, unit_of
 from gelform.calibration.starters import Starter, load_starter, starter_names, starter_of_source
+from gelform.image.agreement import touch_in
 from gelform.image.background import USUAL_FRAMES
+from gelform.image.light import block_means
 from gelform.sensors.source import Source
 from gelform.sensors.streams.memory import Memory, Smoothing, StreamFrame, Timed, Work
 from gelform.sensors.streams.pipeline import Feed, Pipeline, SourceLike, StreamStats, feed_from_source
@@ -37,7 +40,7 @@ from gelform.sensors.streams.sensor_health import camera_findings
 STEADY_S = 1.0  # s without motion; a hand that presses cannot keep as still
 LEAST = 3  # frames of that second; fewer cannot agree
 # Limits of the frames, and of their bytes, that are read of a recording before the first one is given out.
-HELD, MAX_BYTES = 15, 192 * 2**20
+HELD, MAX_BYTES = 50, 192 * 2**20
 KEPT = 8  # results whose images stay available to `image_of`
 TOUCH_NOTHING = "Touch nothing: the starter's calibration needs the gel at rest."
 
@@ -64,22 +67,49 @@ class UntouchedImage:
         self._images.append((frame.time_s, image_from_frame(frame.image, self.view)))
         return len(self._images) >= LEAST and frame.time_s - self._images[0][0] >= STEADY_S
 
-    def mean(self) -> Map | None:
-        """The mean (H, W, 3) of the frames; None if they disagree, and then the first half is dropped."""
-        stride = max(1, len(self._images) // USUAL_FRAMES)
-        chosen = [image for _, image in list(self._images)[::-stride]]
-        try:
-            taken = background_from_frames(chosen)
-        except DataError:
-            said = "Most frames differ"
-        else:
-            if not taken.left_out:
-                return taken.background
-            said = f"{len(taken.left_out)} of {len(chosen)} frames differ"
+    def mean(self, least_s: float = 0.0) -> Map | None:
+        """The mean (H, W, 3) of the longest still stretch of at least `least_s`; None without one.
+
+        A stretch in which nothing seems to touch the gel is preferred. Without any, the first half is dropped.
+        """
+        times, images = [time_s for time_s, _ in self._images], [image for _, image in self._images]
+        stretches = [
+            one for one in still_stretches(images) if times[one.stop - 1] - times[one.start] >= least_s
+        ]
+        means = []
+        for one in sorted(stretches, key=len, reverse=True):
+            chosen = images[one.start : one.stop : max(1, len(one) // USUAL_FRAMES)]
+            try:
+                means.append(background_from_frames(chosen).background)
+            except DataError:  # most of its frames differ
+                continue
+            if touch_in(means[-1]) is None:
+                return means[-1]
+        if means:
+            return means[0]
+        said = f"no {LEAST} of {len(images)} frames follow each other without a change"
         self.reason = f"Something moves on the gel, or its light changes ({said}). {TOUCH_NOTHING}"
         for _ in range(len(self._images) // 2 + 1):
             self._images.popleft()
         return None
+
+
+def still_stretches(images: Sequence[Array]) -> list[range]:
+    """The stretches of images in a row without motion, of at least three, if there are three.
+
+    A stretch ends where a block is off the mean of the stretch by more than three of the film's usual steps from image to
+    image: compressed video steps by gray levels at rest. A camera's own steps are a gray level.
+    """
+    blocks = [block_means(one) for one in images]
+    steps = [float(np.abs(b - a).max()) for a, b in pairwise(blocks)]
+    most = 3 * max(1.0, float(np.median(steps))) if steps else 0.0
+    starts, total = [0], np.zeros_like(blocks[0])
+    for k, one in enumerate(blocks):
+        if k > starts[-1] and np.abs(one - total / (k - starts[-1])).max() > most:
+            starts.append(k)
+            total = np.zeros_like(one)
+        total = total + one
+    return [range(a, b) for a, b in pairwise([*starts, len(blocks)]) if b - a >= min(LEAST, len(images))]
 
 
 def calibration_at_rest(
@@ -159,7 +189,7 @@ class UntouchedFirst:
             ready = bool(self._held)
         elif (frame := self._feed.next(self._after)) is not None:
             self._after, ready = frame.index, self._untouched.keep(frame)
-        image = self._untouched.mean() if ready else None
+        image = self._untouched.mean(0.0 if self.every else STEADY_S) if ready else None
         if image is not None:
             made = self._starter.for_unit(image, view=self._untouched.view, serial=self.camera.serial)
             self._memory = self._memory_of(Reconstructor(made))
