@@ -62,6 +62,8 @@ def test_by_serial_first_name_second_path_last_and_the_only_one_needs_no_name():
         "gelsight-mini": MINI_CAMERA,
         "gelsight": MINI_CAMERA,
         "/dev/video4": OTHER,
+        "2": DIGIT_CAMERA,  # the name of the first has a 2
+        "02": DIGIT_CAMERA,
         "/dev/v4l/by-path/p2": MINI_CAMERA,
     }.items():
         assert chosen_camera(spec, PLUGGED_IN) is camera
@@ -74,6 +76,10 @@ def test_by_serial_first_name_second_path_last_and_the_only_one_needs_no_name():
     [
         ("200901010001", TWINS, r"name one by its path.*by-path/p2.*by-path/p4"),
         ("", PLUGGED_IN, r"Several cameras are plugged in: name one by its serial.*S1.*D20123.*X9"),
+        *(
+            (spec, PLUGGED_IN, f"No camera '{spec}'.*Plugged in: GelSight")
+            for spec in ("1", "28", "R0", "di")
+        ),
         ("D9", PLUGGED_IN, r"No camera 'D9'.*DIGIT \(serial D20123, /dev/video2"),
         *((spec, [], r"No camera is plugged in.*simulated") for spec in ("", "D9")),
         ("d20123", LIKE, "'D20123' differs from 'd20123'.*compared letter by letter"),

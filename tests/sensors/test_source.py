@@ -2,6 +2,7 @@
 
 import queue
 import re
+import sys
 import threading
 import time
 from functools import partial
@@ -48,7 +49,15 @@ def test_what_is_no_source_says_what_is(tmp_path, monkeypatch):
         (tmp_path / "notes.txt", DataError, r"is no video, no folder of images and no recording"),
         (tmp_path / "none", DataError, "Check the path"),
         (tmp_path / "none.mp4", DataError, "No video file"),
-        (3, TypeError, "text or a path"),
+        (3.0, TypeError, "text, a path or a camera's number"),
+        (True, TypeError, "text, a path or a camera's number"),
+        (
+            2,
+            SensorError,
+            r"No camera '/dev/video2'.*plugged in" if sys.platform.startswith("linux") else "No camera",
+        ),
+        (-1, SensorError, "0 or more, got -1"),
+        ("9" * 200, SensorError, r"No camera.*plugged in"),
         ("simulated:gelsigt", SensorError, r"three-edges.*gelsight-mini"),
         ("D20123", SensorError, r"No camera.*plugged in"),
         ("", SensorError, r"No camera.*plugged in"),

@@ -53,8 +53,9 @@ class Camera:
 def chosen_camera(spec: str, cameras: Sequence[Camera]) -> Camera:
     """The one of the connected cameras that `spec` means.
 
-    A serial number; else a name, a part of one in any case, or a row of `SENSORS` such as "digit"; else a path, also the one
-    by USB socket. Empty: the only camera.
+    A serial number; else a name; else the number of a device, if it is digits alone; else a part of a name in any case, of
+    three letters or more, or a row of `SENSORS` such as "digit"; else a path, also the one by USB socket. Empty: the only
+    camera.
 
     SensorError: no camera or several match; the message lists the connected ones.
     """
@@ -62,11 +63,17 @@ def chosen_camera(spec: str, cameras: Sequence[Camera]) -> Camera:
     if not cameras:
         raise SensorError(NOTHING_THERE if not spec else f"{none} {NOTHING_THERE}")
     folded, answer = spec.casefold(), f"Several cameras answer to {spec!r}"
+    is_number = spec.isascii() and spec.isdecimal()
+    is_part = folded if len(spec) > 2 and not is_number else "\0"  # which no name has
     for several, matches in (
         ("Several cameras are plugged in", [camera for camera in cameras if not spec]),
         (answer, [camera for camera in cameras if camera.serial == spec]),
         (answer, [camera for camera in cameras if camera.name == spec]),
-        (answer, [camera for camera in cameras if camera.kind == folded or folded in camera.name.casefold()]),
+        (answer, [camera for camera in cameras if is_number and camera.path == path_of_number(spec)]),
+        (
+            answer,
+            [camera for camera in cameras if camera.kind == folded or is_part in camera.name.casefold()],
+        ),
         (answer, [camera for camera in cameras if spec in (camera.path, camera.by_path)]),
     ):
         if len(matches) == 1:
@@ -78,6 +85,12 @@ def chosen_camera(spec: str, cameras: Sequence[Camera]) -> Camera:
             raise SensorError(f"{several}: name one by its {by}. Plugged in: {listed_cameras(cameras)}.")
     said = almost(spec, (camera.serial for camera in cameras))
     raise SensorError(f"{none}{said} Plugged in: {listed_cameras(cameras)}.")
+
+
+def path_of_number(number: str) -> str:
+    """The path of the camera with the system's number, "0", "1", ..."""
+    plain = number.lstrip("0") or "0"
+    return f"/dev/video{plain}" if sys.platform.startswith("linux") else plain
 
 
 def almost(word: str, serials: Iterable[str | None]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from math import isfinite
+from numbers import Integral
 from os import PathLike, sep
 from types import TracebackType
 from typing import Any, Protocol
@@ -11,7 +12,7 @@ from typing import Any, Protocol
 from gelform.errors import DataError, SensorError
 from gelform.foundations.checks import check_path
 from gelform.image.view import Frame, in_rgb
-from gelform.sensors.cameras import UsbCamera, camera_named
+from gelform.sensors.cameras import UsbCamera, camera_named, path_of_number
 from gelform.sensors.files import FILM_SUFFIXES
 from gelform.sensors.films import is_film, open_film
 from gelform.sensors.mjpeg import OPEN_S, MjpegUrl, shown_address
@@ -92,7 +93,7 @@ def checked_frame(frame: Frame, after_index: int, name: str) -> Frame:
 
 
 def open_source(
-    spec: str | PathLike[str],
+    spec: str | PathLike[str] | int,
     *,
     paced: bool = False,
     rate_hz: float | None = None,
@@ -108,8 +109,8 @@ def open_source(
 
         - "simulated", or "simulated:NAME" for another simulated sensor than three-edges, such as gelsight-mini
         - http://... or https://...: a camera that sends JPEG pictures (multipart/x-mixed-replace)
-        - the serial number of a USB camera, its name (or a part of it, or "digit", "gelsight-mini"), or its path; "" for the
-          only connected camera
+        - the serial number of a USB camera, its name (or three letters of it, or "digit", "gelsight-mini"), its path,
+          or its number (0, 1, ... or the text), as in /dev/video0; "" for the only connected camera
         - *.mcap, a rosbag2 folder, a video file, a folder of images, a TIFF of several pages, or frames of numpy (*.npy)
     paced : whether files play at their original pace, instead of as fast as they can be read
     rate_hz : frames per second of the simulated sensor (60) and of a folder of images (25)
@@ -131,8 +132,9 @@ def open_source(
     DataError
         The file or folder is missing or cannot be read.
     """
+    spec = spec_of(spec)
     if not isinstance(spec, (str, PathLike)):
-        raise TypeError(f"Expected a source as text or a path, got {type(spec).__name__}.")
+        raise TypeError(f"Expected a source as text, a path or a camera's number, got {type(spec).__name__}.")
     opened = _without_settings(spec, paced, rate_hz, timeout_s)
     if opened is None:
         opened = UsbCamera(camera_named(str(spec)), settings)
@@ -142,6 +144,18 @@ def open_source(
             f"{shown_address(str(spec))} is no USB camera: {', '.join(settings)} cannot be set. Leave it out."
         )
     return FromBgr(opened) if bgr else opened
+
+
+def spec_of(source: Any) -> Any:
+    """The path of the camera whose number the source is; anything else unchanged.
+
+    SensorError: no camera has a number below 0.
+    """
+    if isinstance(source, bool) or not isinstance(source, Integral):
+        return source
+    if source < 0:
+        raise SensorError(f"Expected the number of a camera, 0 or more, got {source}.")
+    return path_of_number(str(int(source)))
 
 
 def _without_settings(

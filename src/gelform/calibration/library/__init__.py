@@ -26,7 +26,7 @@ from gelform.sensors.mjpeg import shown_address
 from gelform.sensors.profiles import PROFILES
 from gelform.sensors.record import attached_calibration
 from gelform.sensors.simulated import serial_of_simulated, simulated_sensor_named
-from gelform.sensors.source import ADDRESSES, DEFAULT_SENSOR, simulated_sensor_of
+from gelform.sensors.source import ADDRESSES, DEFAULT_SENSOR, simulated_sensor_of, spec_of
 from gelform.simulate import SimulatedPresses, SimulatedSensor, simulate_ball_presses
 
 __all__ = [
@@ -392,6 +392,7 @@ def unit_of(source: Any) -> Unit:
     SensorError, DataError
         There is no such camera, file or folder, or it cannot be read.
     """
+    source = spec_of(source)
     if isinstance(source, Grabber):
         return unit_of(source.source)
     if callable(source):

@@ -15,10 +15,10 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from gelform.image.view import Frame
 from gelform.sensors.grabber import Grabber, Newest
-from gelform.sensors.source import Source, checked_frame, open_source
+from gelform.sensors.source import Source, checked_frame, open_source, spec_of
 from gelform.sensors.streams.memory import Timed, Work
 
-SourceLike = str | PathLike[str] | Source | Callable[[], Source] | Grabber
+SourceLike = str | PathLike[str] | int | Source | Callable[[], Source] | Grabber
 
 
 class Feed(Protocol):
@@ -112,6 +112,7 @@ def feed_from_source(source: SourceLike) -> Feed:
 
     SensorError, DataError: it cannot be opened; the message lists the available ones.
     """
+    source = spec_of(source)
     if isinstance(source, Grabber):
         return NewestFrames(source, owned=False)
     if hasattr(source, "live"):
