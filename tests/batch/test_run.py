@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 import time
+from functools import partial
 from multiprocessing import active_children
 from unittest.mock import patch
 
@@ -17,11 +18,12 @@ import numpy as np
 import pytest
 
 import gelform
-from gelform import DataError, Frame
+from gelform import DataError, Frame, calibration_from_background
 from gelform.batch import BatchSettings, Engine, RunOptions, listing_of, run_batch, verify_output
 from gelform.batch.inputs import plan_of
 from gelform.batch.records import read_record, record_path
 from gelform.batch.run import Job, Stopped, Worker, WorkerLostError, done_parts
+from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_press
 from made.small_gel import image_of, save
 from made.sources import recorded
 
@@ -131,6 +133,24 @@ def test_a_background_of_each_sequence(two_lights, cal, tmp_path):
     for part in plan_of(listing_of(two_lights), 1, 1):
         (row,) = worker.do(part).rows
         assert abs(row["deepest_mm"]) < 0.02, row
+
+
+def test_a_starter_of_each_sequence(tmp_path):
+    """Two units of a make, whose gains differ by more than exposure does."""
+    layout, make = LAYOUTS["three-edges"], "simulated-three-edges"
+    rng = np.random.default_rng(0)
+    for name, gain in (("one", [1, 1, 1]), ("other", [0.55, 0.9, 0.75])):
+        (tmp_path / "in" / name).mkdir(parents=True)
+        rest = [simulate_background(layout, rng) for _ in range(3)]
+        touched = simulate_press(layout, Ball(2.5), depth_mm=0.4, rng=rng).image
+        for k, image in enumerate([*rest, touched]):
+            save(tmp_path / "in" / name / f"{k}.png", np.rint(image * np.array(gain)).astype(np.uint8))
+    settings, starter = BatchSettings(background_frames=3), partial(calibration_from_background, sensor=make)
+    assert run_batch(tmp_path / "in", None, tmp_path / "out", settings, starter=starter).complete
+    for name in ("one", "other"):
+        depths = [np.load(tmp_path / "out" / "frames" / name / f"{k}.npz")["depth_mm"] for k in range(4)]
+        assert max(depth.max() for depth in depths[:3]) < 0.05
+        assert depths[3].max() == pytest.approx(0.4, abs=0.1)
 
 
 def test_after_a_lack_of_memory_no_frame_gets_the_background_of_another_sequence(two_lights, cal, tmp_path):

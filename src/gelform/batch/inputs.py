@@ -315,17 +315,31 @@ def background_of_film(part: Part, count: int, calibration: Calibration) -> NDAr
 
     DataError if none is readable, one has another size, or they differ because something touches the gel.
     """
+    frames = _first_frames(part, count, calibration.most_pixels)
+    return _average([image_of_calibration(one, calibration) for one in frames])
+
+
+def frame_at_rest(part: Part, count: int) -> NDArray[Any]:
+    """The same of the frames as the camera gave them."""
+    return _average([one.image for one in _first_frames(part, count)])
+
+
+def _first_frames(part: Part, count: int, most_pixels: float = MAX_PIXELS) -> list[Frame]:
     film = replace(part.film, images=part.first)
     beginning = replace(part, film=film, start=0, count=min(count, film.count), names=())
-    first = [one for _, one in islice(frames_of_part(beginning, calibration.most_pixels), count)]
-    images = [image_of_calibration(one, calibration) for one in first if isinstance(one, Frame)]
-    if not images:
+    first = [one for _, one in islice(frames_of_part(beginning, most_pixels), count)]
+    frames = [one for one in first if isinstance(one, Frame)]
+    if not frames:
         why = next((reason(one) for one in first if not isinstance(one, Frame)), "there is none.")
         raise DataError(f"No background: none of the first {count} frames can be read: {why}")
+    return frames
+
+
+def _average(images: Sequence[NDArray[Any]]) -> NDArray[Any]:
     try:
         return background_from_frames(images).background
     except DataError as problem:
-        raise DataError(f"No background from the first {count} frames: {problem}") from problem
+        raise DataError(f"No background from the first {len(images)} frames: {problem}") from problem
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ from gelform.batch.inputs import (
     background_of_file,
     background_of_film,
     backgrounds_of,
+    frame_at_rest,
     frames_of_part,
     image_of_calibration,
     listing_of,
@@ -67,6 +68,7 @@ from gelform.batch.records import (
     write_table,
 )
 from gelform.calibration.library import choose_calibration, unit_of_all
+from gelform.calibration.starters import at_rest_again
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import FrameTally, GelformError, cannot, needed, reason
 from gelform.exchange.exporters.press_folder import check_room
@@ -141,14 +143,16 @@ class Worker:
         job, name = self.job, part.film.name
         own = name if job.settings.background_frames or job.background_files else None
         if self._prepared_for != (own,):
-            background = job.background
+            calibration, background = job.calibration, job.background
             try:
                 if job.settings.background_frames:
-                    background = background_of_film(part, job.settings.background_frames, job.calibration)
+                    background = background_of_film(part, job.settings.background_frames, calibration)
+                    if calibration.settings.starter is not None:  # a film may be of another unit of the make
+                        calibration, background = at_rest_again(calibration, background), None
                 elif job.background_files:
-                    background = background_of_file(job.background_files[name], job.calibration)
+                    background = background_of_file(job.background_files[name], calibration)
                 self._reconstruct = Reconstructor(
-                    job.calibration, background=background, solver=job.settings.solver
+                    calibration, background=background, solver=job.settings.solver
                 )
             except GelformError as problem:
                 self._reconstruct = problem
@@ -471,6 +475,7 @@ def run_batch(
     options: RunOptions | None = None,
     progress: Callable[[BatchSummary], Any] = lambda _: None,
     chosen: Callable[[str], Any] = lambda _: None,
+    starter: Callable[[NDArray[Any]], Calibration] | None = None,
 ) -> BatchSummary:
     """Reconstruct every frame of a data set into an output folder; the same call continues an interrupted run.
 
@@ -488,6 +493,9 @@ def run_batch(
     options : parts to do, and the limit of errors; None: all parts
     progress : called with the BatchSummary after each part
     chosen : called with a sentence about the calibration, if none was given
+    starter : makes the calibration from the average of the first frames of the first sequence, if none was given and
+        `settings.background_frames` is above 0, such as `calibration_from_background` of a sensor. Each sequence then has a
+        starter's calibration of its own first frames
 
     Raises
     ------
@@ -509,6 +517,9 @@ def run_batch(
     backgrounds = backgrounds_of(None if background is None else check_path(background))
     listing = listing_of(source, leave_out=backgrounds.files, dataset=dataset)
     check_apart(listing, output)
+    if starter is not None and given is None:
+        (first, *_) = plan_of(listing, 1, settings.background_frames, settings.bgr)
+        given = _with_scale(starter(frame_at_rest(first, settings.background_frames)))
     calibration = given or _with_scale(_choose_calibration(listing, output, options.overwrite, chosen))
     names = [sequence.name for sequence in listing.sequences]
     check_names(names, settings)

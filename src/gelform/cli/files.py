@@ -185,11 +185,16 @@ class Inputs:
             raise BadParameter(
                 "-c names the calibration already. Leave one of them out.", param_hint="--sensor"
             )
-        if self.background is None or self.background.suffix.lower() == ".csv":
+        if not self.from_film and (self.background is None or self.background.suffix.lower() == ".csv"):
             raise BadParameter(
                 "needed with --sensor: an image of the gel at rest, or a folder of several.",
                 param_hint="--background",
             )
+
+    @property
+    def from_film(self) -> bool:
+        """Whether the first frames of each sequence show the gel at rest."""
+        return False
 
     def calibration_of(self, source: str | Sequence[Path], quiet: bool) -> gelform.Calibration:
         """The calibration for a source or for files of images; says which one it is unless it is a file's."""

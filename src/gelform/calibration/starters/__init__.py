@@ -379,6 +379,22 @@ def starter_of_source(source: Any) -> str | None:
     return kind if kind in starter_names() else None
 
 
+def at_rest_again(calibration: Calibration, background: Map) -> Calibration:
+    """A starter's calibration from another background image (H, W, 3), with the same view and scale.
+
+    CalibrationError: as `Starter.for_unit`. SensorError: its starter is not in this version.
+    """
+    assert calibration.settings.starter is not None
+    starter = load_starter(calibration.settings.starter["sensor"])
+    return starter.for_unit(
+        background,
+        view=calibration.view,
+        mm_per_px=calibration.mm_per_px,
+        serial=calibration.serial,
+        gel_id=calibration.gel_id,
+    )
+
+
 def calibration_from_background(
     background: ArrayLike,
     sensor: str,

@@ -232,6 +232,10 @@ class Frames(Inputs):
         int, Option(metavar="N", min=0, help="Average the first N frames of each sequence as its background.")
     ] = 0
 
+    @property
+    def from_film(self) -> bool:
+        return self.background_frames > 0 and self.background is None
+
 
 def batch(
     *,
@@ -283,8 +287,8 @@ def batch(
     doubtful, the exit status is 3.
 
     Without -c, the serial number in a sensor.toml or in the recordings selects the newest calibration of that sensor; there
-    must be only one serial. For a sensor without a calibration, give --sensor and an image of its gel at rest. The starter
-    of its make then reads the frames.
+    must be only one serial. For a sensor without a calibration, give --sensor and an image of its gel at rest, or
+    --background-frames where each sequence begins at rest. The starter of its make then reads the frames.
 
     \b
     Examples:
@@ -293,6 +297,7 @@ def batch(
       gelform batch demos.hdf5 --dataset "data/*/obs/gelsight" -c cal.npz -o depth --format zarr --dtype uint16
       gelform batch press_set --dataset observation.images.gel -c cal.npz -o with_depth --format lerobot
       gelform batch sessions/ --sensor gelsight-mini --background rest.png -o depth
+      gelform batch "day*/*.mp4" --sensor gelsight-mini --background-frames 5 -o depth
       gelform batch sessions/ -c cal.npz -o depth --shard 3/16
     """
     from gelform.batch import BatchSettings, Engine, RunOptions, run_batch
@@ -320,7 +325,12 @@ def batch(
             chosen=shown.say,
         )
         try:
-            summary = work(calibration=given.calibration)
+            starter = None
+            if given.sensor is not None and given.from_film:
+                starter = partial(
+                    gelform.calibration_from_background, sensor=given.sensor, mm_per_px=given.mm_per_px
+                )
+            summary = work(calibration=given.calibration, starter=starter)
         except NoCalibration as problem:
             summary = work(calibration=given.starter("", problem, shown.silent))
     shown.json({"output": output, **asdict(summary)})
