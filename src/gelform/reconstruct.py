@@ -46,7 +46,8 @@ from gelform.slopes.gradients import slopes_of_solution
 from gelform.slopes.sigma import Clipped, ClippedChannels, SlopeSigma, either, excess_noise, outside_of_gel
 
 ON_DEMAND = (  # what a result computes on first use
-    "gradients", "gradients_sigma", "confidence", "depth_sigma_mm", "contact", "health", "outside_change", "curl_rms",
+    "gradients", "gradients_sigma", "confidence", "depth_sigma_mm", "contact", "health", "outside_change", "inside_change",
+    "curl_rms",
 )  # fmt: skip
 
 
@@ -243,9 +244,20 @@ class FrameRecord:
         return self.solution.curl_rms
 
     @once
+    def color_changes(self) -> tuple[float | None, float | None]:
+        """Color change outside the contact, and inside it."""
+        return self.today.surround(self.seen.image, self.contact)
+
+    @property
     def outside_change(self) -> float | None:
         """Median color change outside the contact over its mean inside."""
-        return self.today.surround(self.seen.image, self.contact)
+        outside, inside = self.color_changes
+        return outside / inside if outside is not None and inside else None
+
+    @property
+    def inside_change(self) -> float | None:
+        """Mean color change inside the contact."""
+        return self.color_changes[1]
 
     def difference_sigma(self, region: Mask) -> Map:
         """Standard deviation (H, W), mm, of the depth minus its mean over a region (H, W)."""

@@ -4,6 +4,7 @@ fitted to touches whose forces are written out, what is refused, and the real re
 """
 
 import json
+import re
 from dataclasses import replace
 from itertools import chain
 
@@ -172,10 +173,16 @@ def test_torsion_is_none_of_the_volume():
 
 
 REFUSED = [
-    ("normal", pressed(outside_change=0.3), "soft"),
+    (
+        "normal",
+        pressed(outside_change=0.3, inside_change=0.1),
+        "a soft object: .* by 0.30 of the 0.100 inside",
+    ),
+    ("normal", pressed(outside_change=0.6, inside_change=0.03), "a light and wide contact: .* Press harder"),
+    ("normal", pressed(outside_change=None), "cut by the view"),
     ("normal", pressed(confidence=np.full(SHAPE, 0.49, np.float32)), "in the contact is 0.49"),
     ("normal", replace(pressed(), depth_sigma_mm=np.full(SHAPE, 0.21, np.float32)), "is 42 % of it"),
-    ("normal", pressed(np.s_[0:10, 30:50]), "at the border"),
+    ("normal", pressed(np.s_[0:10, 30:50]), "cut by the view: .* % of it lies at the border"),
     ("normal", pressed(depth_mm=3.1), "beyond the calibrated range"),
     ("normal", pressed(depth_mm=0), "no contact"),
     ("normal", pressed(mm_per_px=None), "no scale"),
@@ -192,7 +199,8 @@ REFUSED = [
 def test_where_no_force_is_stated(kind, result, reason):
     force = force_from_result(result, MODEL)
     assert getattr(force, f"{kind}_n") is None is getattr(force, f"{kind}_sigma_n")
-    assert reason in getattr(force, f"{kind}_reason") in force.reason
+    assert re.search(reason, getattr(force, f"{kind}_reason"))
+    assert getattr(force, f"{kind}_reason") in force.reason
 
 
 def test_just_within_the_limits_it_is_stated():
@@ -360,7 +368,7 @@ def test_with_few_loads_only_k_t():
 def test_errors_stand_beside_those_of_the_best_constant():
     model = calibrate_force(*weighed())
     touches = [pressed_fit(v) for v in (100, 150, 250, 100, 20, 20)]
-    touches[3] = replace(touches[3], outside_change=0.8)
+    touches[3] = replace(touches[3], outside_change=0.8, inside_change=0.1)
     found = evaluate_force(model, touches, [Load("box", f) for f in (5.0, 7.5, 12.5, 5.0, 1.8, 1.8)])
     (box, whole) = found["normal"]
     assert (box["object"], whole["object"], box["presses"]) == ("box", "all", 6)
@@ -369,7 +377,7 @@ def test_errors_stand_beside_those_of_the_best_constant():
     assert box["mae"] == pytest.approx(np.mean([0.5, 0.75, 1.25, 0.9, 0.9]))
     assert box["constant"]["mae"] == pytest.approx(np.mean([0, 2.5, 7.5, 3.2, 3.2]))
     assert (box["within_1"], box["within_2"]) == pytest.approx((0.6, 0.6))
-    assert found["reasons"] == {"a soft object, or a contact beyond the view": 1}
+    assert found["reasons"] == {"a soft object": 1}
     assert found["shear"] == []
     assert set(found) == {"normal", "shear", "torsion", "reasons"}
 

@@ -319,9 +319,9 @@ def background_of_film(part: Part, count: int, calibration: Calibration) -> NDAr
     return _average([image_of_calibration(one, calibration) for one in frames])
 
 
-def frame_at_rest(part: Part, count: int) -> NDArray[Any]:
-    """The same of the frames as the camera gave them."""
-    return _average([one.image for one in _first_frames(part, count)])
+def frame_at_rest(listing: Listing, count: int, bgr: bool) -> NDArray[Any]:
+    """The same of the first sequence's frames as the camera gave them."""
+    return _average([one.image for one in _first_frames(plan_of(listing, 1, count, bgr)[0], count)])
 
 
 def _first_frames(part: Part, count: int, most_pixels: float = MAX_PIXELS) -> list[Frame]:

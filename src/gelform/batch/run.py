@@ -151,9 +151,7 @@ class Worker:
                         calibration, background = at_rest_again(calibration, background), None
                 elif job.background_files:
                     background = background_of_file(job.background_files[name], calibration)
-                self._reconstruct = Reconstructor(
-                    calibration, background=background, solver=job.settings.solver
-                )
+                self._reconstruct = Reconstructor(calibration, background, solver=job.settings.solver)
             except GelformError as problem:
                 self._reconstruct = problem
             self._prepared_for = (own,)  # not after a lack of memory, which may be over at the next frame
@@ -493,9 +491,7 @@ def run_batch(
     options : parts to do, and the limit of errors; None: all parts
     progress : called with the BatchSummary after each part
     chosen : called with a sentence about the calibration, if none was given
-    starter : makes the calibration from the average of the first frames of the first sequence, if none was given and
-        `settings.background_frames` is above 0, such as `calibration_from_background` of a sensor. Each sequence then has a
-        starter's calibration of its own first frames
+    starter : `calibration_from_background` of a make, if none was given; each sequence has one of its first frames
 
     Raises
     ------
@@ -518,8 +514,7 @@ def run_batch(
     listing = listing_of(source, leave_out=backgrounds.files, dataset=dataset)
     check_apart(listing, output)
     if starter is not None and given is None:
-        (first, *_) = plan_of(listing, 1, settings.background_frames, settings.bgr)
-        given = _with_scale(starter(frame_at_rest(first, settings.background_frames)))
+        given = _with_scale(starter(frame_at_rest(listing, settings.background_frames, settings.bgr)))
     calibration = given or _with_scale(_choose_calibration(listing, output, options.overwrite, chosen))
     names = [sequence.name for sequence in listing.sequences]
     check_names(names, settings)

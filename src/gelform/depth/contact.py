@@ -167,21 +167,21 @@ class Surround:
         self._gain = 1 / (rest + np.float32(CHANGE_OFFSET))
         self._at_rest = rest * self._gain
 
-    def __call__(self, image: NDArray[np.number], contact: Mask) -> float | None:
-        """Median change outside a contact (H, W), over its mean inside; None if there is no inside or no outside."""
+    def __call__(self, image: NDArray[np.number], contact: Mask) -> tuple[float | None, float | None]:
+        """Median change outside a contact (H, W), mean change inside, RMS of a channel; None if there is no such part."""
         inside = cv2.resize(contact.view(np.uint8), self._size, interpolation=cv2.INTER_NEAREST)
         outside = cv2.dilate(inside, np.ones((3, 3), dtype=np.uint8)) == 0  # but for a coarse pixel around it
-        if not inside.any() or not outside.any():
-            return None
         change = self._coarse(image)
         change *= self._gain
         change -= self._at_rest
         change *= change
-        square = change @ np.ones(change.shape[-1], dtype=np.float32)
-        within = float(np.sqrt(square[inside > 0]).mean())
-        around = square[outside]
+        square = change @ np.full(change.shape[-1], 1 / change.shape[-1], dtype=np.float32)
+        within, around = np.sqrt(square[inside > 0]), square[outside]
         middle = len(around) // 2
-        return float(np.sqrt(np.partition(around, middle)[middle])) / within if within > 0 else None
+        return (
+            float(np.sqrt(np.partition(around, middle)[middle])) if len(around) else None,
+            float(within.mean()) if len(within) else None,
+        )
 
     def _coarse(self, image: NDArray[np.number]) -> Map:
         # Means of four pixels: a mean of all would take thirty times as long, and the measures are of large areas.

@@ -26,6 +26,7 @@ from gelform.foundations.checks import (
     check_values,
     check_within,
 )
+from gelform.image.light import REST_SIGMA
 
 
 class DotMotion(NamedTuple):
@@ -45,7 +46,10 @@ class Touch:
     # Of the depth in the contact; 0 without a contact; None without a scale, or from a zero that was set.
     volume_mm3: float | None = None
     confidence: float = 0.0  # mean in the contact
-    outside_change: float | None = None  # median outside the contact over the mean inside; None: no contact
+    outside_change: float | None = (
+        None  # median outside the contact over the mean inside; None: no contact or no outside
+    )
+    inside_change: float | None = None  # mean inside the contact, RMS of a channel
     border_share: float = 0.0  # the part of the volume that lies in the band along the border
     dots: DotMotion | None = None  # None if the gel has none, or fewer than half are seen
     rest_mm: Numbers | None = None  # (N, 2), positions of all dots at rest; None without dots
@@ -80,6 +84,7 @@ def touch_from_result(result: Any) -> Touch:
         volume_sigma_mm3=sigma * area,
         confidence=float(result.confidence[box][touched].mean()),
         outside_change=result.outside_change,
+        inside_change=result.inside_change,
         border_share=min(max(1 - inner / whole, 0.0), 1.0) if whole > 0 else 0.0,
         **known,
     )
@@ -300,8 +305,8 @@ def force_from_result(result: Any, model: ForceModel | None) -> Force:
     Returns
     -------
     Force
-        With a standard deviation for each part, or None and the reason: a soft object or a contact beyond the view, low
-        confidence, an uncertain volume, a contact at the border, a force beyond the calibrated range, another gel, no dots.
+        With a standard deviation for each part, or None and the reason: a contact cut by the view, a light and wide one, a
+        soft object, low confidence, an uncertain volume, a force beyond the calibrated range, another gel, no dots.
 
     Raises
     ------
@@ -341,20 +346,26 @@ def why_no_normal(touch: Touch) -> str:
     """Why a touch tells no normal force, whatever the model; "" if it does. docs/force.md has the rates of errors."""
     if touch.volume_mm3 is None:
         return "no scale, or a depth from a zero that was set"
-    if touch.volume_mm3 <= 0 or touch.outside_change is None:
+    if touch.volume_mm3 <= 0:
         return "no contact: nothing touches, or something too soft or too flat to be seen"
-    # On a GelSight Wedge nine of ten touches of hard objects have less than .28 and of soft ones more than .32.
-    if touch.outside_change >= 0.3:
+    if touch.outside_change is None or touch.border_share > 0.05:
         return (
-            f"a soft object, or a contact beyond the view: the color around the contact changed by "
-            f"{touch.outside_change:.2f} of the change inside"
+            f"a contact cut by the view: {100 * touch.border_share:.0f} % of it lies at the border. Press in the middle, or "
+            "with less force"
         )
+    # On a GelSight Wedge nine of ten touches of hard objects have less than .28 and of soft ones more than .32.
+    if touch.outside_change >= (soft := 0.3):
+        around = f"the color around it changed by {touch.outside_change:.2f} of the {touch.inside_change or 0:.3f} inside"
+        # The change around a contact is then no more than that between two moments at rest.
+        if (touch.inside_change or np.inf) < REST_SIGMA / soft:
+            return (
+                f"a light and wide contact: {around}, so that soft and hard objects look alike. Press harder"
+            )
+        return f"a soft object: {around}. Its force does not follow from the depth"
     if touch.confidence < 0.5:
         return f"low confidence: its mean in the contact is {touch.confidence:.2f}, below 0.5"
     if (share := touch.volume_sigma_mm3 / touch.volume_mm3) > 0.4:
         return f"an uncertain volume: its standard deviation is {100 * share:.0f} % of it"
-    if touch.border_share > 0.05:
-        return f"a contact at the border: {100 * touch.border_share:.0f} % of it, so part of it may be out of view"
     return ""
 
 

@@ -97,6 +97,7 @@ class Reconstruction:
     markers : displacements of the gel's markers; None if the gel has none
     outside_change : median color change outside the contact over its mean inside, which is large for soft objects; None
         without a contact
+    inside_change : mean color change inside the contact, RMS of a channel; None without a contact
     index, time_s, wall_time_ns : of the frame, or None
     calibration_digest : digest of the calibration that was used
     force_model : converts the result to `force`; None if no loads were calibrated. Not saved
@@ -120,6 +121,7 @@ class Reconstruction:
     health: tuple[Finding, ...] = field(default_factory=tuple)
     markers: MarkerFlow | None = None
     outside_change: float | None = field(default_factory=lambda: None)
+    inside_change: float | None = field(default_factory=lambda: None)
     index: int | None = None
     time_s: float | None = None
     wall_time_ns: int | None = None
@@ -326,11 +328,11 @@ def _depth_png(depth: Map, known: Mask) -> bytes:
 
 
 KIND, FORMAT_VERSION = "gelform result", 1
-OPTIONAL = "outside_change"  # that earlier files lack
+OPTIONAL = "outside_change", "inside_change"  # that earlier files lack
 MARKERS = "markers_"  # before the names of the arrays of a `MarkerFlow`
 _META = (
-    "mm_per_px_sigma", "zero", "solver", "curl_rms", "health", "outside_change", "index", "time_s", "wall_time_ns",
-    "calibration_digest",
+    "mm_per_px_sigma", "zero", "solver", "curl_rms", "health", "index", "time_s", "wall_time_ns", "calibration_digest",
+    *OPTIONAL,
 )  # fmt: skip
 
 
@@ -376,7 +378,7 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
         if "depth_px" not in arrays:
             x, y = check_mm_per_px(arrays["mm_per_px"])
             mm_per_px = x if arrays["mm_per_px"].ndim == 0 else (x, y)
-        settings = {name: meta[name] for name in _META if name != OPTIONAL or name in meta}
+        settings = {name: meta[name] for name in _META if name not in OPTIONAL or name in meta}
         settings["health"] = tuple(Finding(**finding) for finding in meta["health"])
         maps: dict[str, Any] = {one.name: arrays.get(one.name) for one in BESIDE_DEPTH}
         return Reconstruction(
@@ -400,7 +402,7 @@ def _check_contents(arrays: dict[str, Array], meta: dict[str, Any]) -> None:
         if not isinstance(meta[name], str):
             raise TypeError(f"Expected {name} as text, got {type(meta[name]).__name__}.")
     check_within(meta["curl_rms"], "curl_rms", 0, np.inf)
-    for name in ("mm_per_px_sigma", "index", "time_s", "wall_time_ns", OPTIONAL):
+    for name in ("mm_per_px_sigma", "index", "time_s", "wall_time_ns", *OPTIONAL):
         if meta.get(name) is not None:
             check_number(meta[name], name)
     for finding in meta["health"]:
