@@ -97,7 +97,7 @@ class FromBackground:
         change, noise = calibration.change, calibration.settings.image_noise
         self.untouched_image = PreparedBackground(background, change, usual)
         self.model = calibration.color_model.prepare(background, calibration.image_shape)
-        self.health = FrameHealth(background)
+        self.health = FrameHealth(background, calibration.view.turn != "none")
         # If crosstalk is removed, a clipped channel affects all three.
         spare = int(fixed.step is not None and change.crosstalk is None)
         learnt = None if forward is None else forward.clipped

@@ -13,6 +13,7 @@ from gelform._native import Kernel
 from gelform.arrays import Array, Image, Map, Mask
 from gelform.errors import CalibrationError, Finding
 from gelform.foundations.checks import value_range
+from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.image.view import DARK, as_levels
 
 BLOCK_PX = 16  # px, a block of JPEG with halved color resolution; parts of a frame are lost in such blocks
@@ -202,23 +203,105 @@ class FrameFaults:
     """The faults of a frame."""
 
     image: Array  # (H, W, 3), with the background image in place of lost pixels, so that these give no slopes
-    # `dark`, `saturated`, `torn` (figure: fraction of the frame), `frozen` (figure 1)
+    # `dark`, `saturated`, `torn` (figure: fraction of the frame), `frozen` (figure 1), `bands` (gray levels)
     findings: tuple[Finding, ...] = ()
     # (H, W) bool, pixels without information, including a margin around torn parts; None if there are none
     lost: Mask | None = None
+
+
+class Bands:
+    """Finds bands along the camera's rows: light that flickers while they are read, or interference.
+
+    A band is alike in all channels and from edge to edge. So it is what the rows' means in the left, the middle and the
+    right third of the image have in common. What they differ by is everything else: noise, contacts, colors. A smooth
+    change along the image is light.
+    """
+
+    def __init__(self, rest: ImageBlocks, pixels: Image, is_turned: bool) -> None:
+        self._is_turned = is_turned  # whether the camera's rows are columns of the image
+        self._rest = self._rows(rest, pixels)
+        self._gray = _gray_of_thirds(self._rest)
+        self._smooth = np.linalg.qr(np.vander(np.linspace(-1, 1, len(self._rest)), 4, increasing=True))[
+            0
+        ].astype(np.float32)
+
+    def __call__(self, blocks: ImageBlocks, image: Array) -> tuple[Array, tuple[Finding, ...]]:
+        """The image (H, W, 3) without bands, and the finding `bands`: amplitude, gray levels."""
+        if self._rest.shape[1] < 3:
+            return image, ()
+        rows, rest = self._rows(blocks, image), self._rest
+        gray = _gray_of_thirds(rows)
+        gain = self._gray.mean() / max(gray.mean(), np.float32(1))
+        # First the question that costs little: nothing is in common that a camera's own gray levels would show.
+        if self._common(gain * gray - self._gray)[0] < 0.5:
+            return image, ()
+        change = gain * rows - rest
+        best, levels, band, multiplies = 1.0, 0.0, np.empty(0, dtype=np.float32), False
+        whole = 3 * (rest.shape[1] // 3)
+        for divides, divisor in ((True, rest + np.float32(CHANGE_OFFSET)), (False, np.ones_like(rest))):
+            strips = self._flat(change / divisor)
+            thirds = np.median(strips[:, :whole].reshape(len(rows), 3, -1, 3), axis=2)
+            common, _ = self._common(thirds.mean(axis=-1))
+            off = strips - np.median(thirds.mean(axis=-1), axis=1)[:, None, None]
+            apart = float(np.median(np.square(off).mean(axis=(0, 2))))
+            if (ratio := common / max(apart, 1e-12)) > best:
+                best, multiplies = ratio, divides
+                levels = np.sqrt(2 * common) * (float(rest.mean()) if divides else 1.0)
+                # Where there are bands, what is curved along the rows is theirs rather than the light's.
+                thirds = np.median((change / divisor)[:, :whole].reshape(len(rows), 3, -1, 3), axis=2)
+                band = np.median(self._flat(thirds, 2), axis=1).mean(axis=-1)
+        if levels < 1:
+            return image, ()
+        message = (
+            f"Bands of {levels:.1f} gray levels lie along the camera's rows, as of lamps that flicker or of interference. "
+            "gelform takes them out as far as the image shows them. Power the LEDs with direct current, or set the exposure "
+            "to whole periods of the mains."
+        )
+        along = band[None, :, None] if self._is_turned else band[:, None, None]
+        without = image / (1 + along) if multiplies else image - along
+        return np.clip(without, 0, 255).astype(np.float32), (Finding("bands", message, float(levels)),)
+
+    def _rows(self, blocks: ImageBlocks, image: Array) -> Map:
+        """Gray levels (rows, strips, 3) of the camera's rows, averaged over strips of 16 px."""
+        if not self._is_turned:
+            return blocks.row_sums * np.float32(1 / BLOCK_PX)
+        size = image.shape[1], image.shape[0] // BLOCK_PX
+        strips = (
+            cv2.resize(image, size, interpolation=cv2.INTER_AREA) if size[1] else np.empty((0, size[0], 3))
+        )
+        return np.ascontiguousarray(np.swapaxes(strips, 0, 1), dtype=np.float32)
+
+    def _flat(self, rows: Map, terms: int = 4) -> Map:
+        """Values (rows, ...) without their polynomial along the rows; by default the cubic."""
+        columns, smooth = rows.reshape(len(rows), -1), self._smooth[:, :terms]
+        return np.asarray(columns - smooth @ (smooth.T @ columns), dtype=np.float32).reshape(rows.shape)
+
+    def _common(self, thirds: Map) -> tuple[float, float]:
+        """Variance that the values (rows, 3) of all thirds have in common, and the mean of what each has beyond."""
+        flat = self._flat(thirds)
+        products = flat.T @ flat / len(flat)
+        pairs = products[[0, 1, 2], [1, 2, 0]]
+        return float(pairs.min()), float(np.trace(products) / 3 - pairs.mean())
+
+
+def _gray_of_thirds(rows: Map) -> Map:
+    """Mean gray levels (rows, 3) of the left, middle and right strips of (rows, strips, 3)."""
+    each = rows.shape[1] // 3
+    return np.asarray(rows[:, : 3 * each].reshape(len(rows), 3, -1).mean(axis=2), dtype=np.float32)
 
 
 class FrameHealth:
     """Finds faults of the frames of one sensor, from its background image (H, W, 3), 0-255; threads can share it.
 
     It is a pure function of the frame; a stream finds faults that need memory, such as a camera that repeats one image.
-    Only a repetition of the background image itself is found here.
+    Only a repetition of the background image itself is found here. `is_turned`: whether the camera's rows are columns.
     """
 
-    def __init__(self, background: Array) -> None:
+    def __init__(self, background: Array, is_turned: bool = False) -> None:
         self._background = background
         self._pixels = as_levels(background)
         rest = blocks_from_image(self._pixels)
+        self._bands = Bands(rest, self._pixels, is_turned)
         self._rest_digests = rest.row_digests
         self._levels = Levels(rest)
         self._torn = Torn(background, rest)
@@ -230,7 +313,7 @@ class FrameHealth:
             message = "The frame equals the background image in every pixel. The camera is frozen, or it is that image."
             return FrameFaults(image, (Finding("frozen", message, 1.0),))
         if self._is_plainly_sound(blocks):
-            return FrameFaults(image)
+            return FrameFaults(*self._bands(blocks, image))
         torn = self._torn(blocks, image)
         # A whole frame of one color is dark or saturated if the color is an end of the range.
         if torn is not None and torn.mean() > 0.95 and self._levels(blocks)[1] is not None:
@@ -251,7 +334,7 @@ class FrameHealth:
         if clipped is not None:
             lost |= blocks.pixels(clipped, image.shape[1])
         if torn is None and clipped is None:
-            return FrameFaults(image)
+            return FrameFaults(*self._bands(blocks, image))
         return FrameFaults(np.where(lost[..., None], self._pixels, image), (*findings, *levels), lost)
 
     def _is_plainly_sound(self, blocks: ImageBlocks) -> bool:
