@@ -18,11 +18,14 @@ from typing import Any
 from presses import data_is_missing
 from real_frames.sets import SETS, Run
 from report import command_line, parts_asked, recorded, write
+from strangers.calibrating import light, presses
+from strangers.frames import contacts, exposure, torn, unknown
 from strangers.rest import moments, rest
 from strangers.streams import streams
 from strangers.touched import touched
 
-PARTS: dict[str, Any] = {"rest": rest, "touched": touched, "moments": moments, "streams": streams}
+PARTS: dict[str, Any] = {"rest": rest, "touched": touched, "moments": moments, "streams": streams, "presses": presses,
+    "light": light, "torn": torn, "exposure": exposure, "contacts": contacts, "unknown": unknown}
 
 
 def main() -> None:
