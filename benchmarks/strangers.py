@@ -20,12 +20,23 @@ from real_frames.sets import SETS, Run
 from report import command_line, parts_asked, recorded, write
 from strangers.calibrating import light, presses
 from strangers.frames import contacts, exposure, torn, unknown
+from strangers.page import decisions, fill
 from strangers.rest import moments, rest
 from strangers.streams import streams
 from strangers.touched import touched
 
-PARTS: dict[str, Any] = {"rest": rest, "touched": touched, "moments": moments, "streams": streams, "presses": presses,
-    "light": light, "torn": torn, "exposure": exposure, "contacts": contacts, "unknown": unknown}
+PARTS: dict[str, Any] = {
+    "rest": rest,
+    "touched": touched,
+    "moments": moments,
+    "streams": streams,
+    "presses": presses,
+    "light": light,
+    "torn": torn,
+    "exposure": exposure,
+    "contacts": contacts,
+    "unknown": unknown,
+}
 
 
 def main() -> None:
@@ -35,16 +46,24 @@ def main() -> None:
     command.add_argument(
         "--cache", type=Path, metavar="DIR", help="keep the calibrations there for later runs"
     )
+    command.add_argument(
+        "--pages", action="store_true", help="write the recorded figures into the page; measure nothing"
+    )
     asked = parts_asked(command, PARTS)
     run, figures = Run(SETS, asked.quick, asked.cache), recorded("strangers")
+    if asked.pages:
+        print("changed: " + (", ".join(fill(figures)) or "no page"))
+        return
+    measured: dict[str, Any] = {}
     for name in asked.parts:
         if data_is_missing(name):
             continue
         start = time.process_time()
-        figures[name] = PARTS[name](run)
+        figures[name] = measured[name] = PARTS[name](run)
         print(f"\n{name}: {time.process_time() - start:.0f} s of CPU", flush=True)
         if not asked.quick:
             write("strangers", figures)
+    print("\n" + decisions(measured))
 
 
 if __name__ == "__main__":

@@ -30,7 +30,8 @@ from strangers.units import (
     wedge_rests,
 )
 
-TRUE, AT_REST, ALIEN = 10, 2, 2  # presses of a mixed set: of its ball, of the gel at rest, and of a cube's edge on a Mini
+# Presses of a mixed set: of its ball, of the gel at rest, and of a cube's edge on a Mini
+TRUE, AT_REST, ALIEN = 10, 2, 2
 
 
 def presses(run: Run) -> dict[str, Row]:
@@ -55,9 +56,7 @@ def _mixed(run: Run, name: str) -> tuple[list[bool], list[bool]]:
     height, width = known.background.shape[:2]
     paths = spread_over(sorted((DATA / "mini-edge" / "images").glob("*.png")), ALIEN)
     edges = [cv2.resize(gelform.read_image(path), (width, height)) for path in paths]
-    others = [
-        replace(true[k], name=f"other-{k}", image=image) for k, image in enumerate((*rest, *edges))
-    ]
+    others = [replace(true[k], name=f"other-{k}", image=image) for k, image in enumerate((*rest, *edges))]
     mixed = replace(known, presses=(*true, *others))
     try:
         report = gelform.calibrate(mixed).report
@@ -84,10 +83,10 @@ def light(run: Run) -> dict[str, Row]:
             for image in images:
                 fitted = np.clip(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), 0, 255)
                 readings = [one for one in READINGS if not one.transposed] if make == own_make else [None]
-                for one in readings:
-                    given = fitted if one is None else lying(fitted, one)
-                    why, found = said_of(lambda given=given: unit_of(starter, given).findings)  # type: ignore[misc]
-                    plain = one is not None and one == READINGS[0]
+                for reading in readings:
+                    given = fitted if reading is None else lying(fitted, reading)
+                    why, found = said_of(unit_of, starter, given)
+                    plain = reading == READINGS[0]
                     said.append((plain, why is None and "starter_light" not in found, why, found))
             figures = [found["starter_light"] for *_, found in said if "starter_light" in found]
             right = [why is not None for plain, _, why, _ in said if plain]

@@ -22,19 +22,24 @@ from strangers.units import (
     clips,
     own,
     spread_over,
-    touched,
+    touches,
     wedge_pressed,
     wedge_rests,
 )
 
 SETS_OF_FRAMES = tuple(dict.fromkeys((*MAKES, *BALLS, *HOMEMADE)))
-PIECE, SEAM_LEVELS = 16, 2.0  # px along a row, and gray levels: a seam with less of a step is hardly to be seen
+PIECE, SEAM_LEVELS = (
+    16,
+    2.0,
+)  # px along a row, and gray levels: a seam with less of a step is hardly to be seen
 EVERY_OF_CLIP = 12
 GAINS = (0.9, 1.1)
 DARKER_OR_BRIGHTER = ("exposure", "background_ratio")
 OFTEN_HARD = ("rigid_strawberry", "purple_ball_hardest")  # hard objects that the wedge was not calibrated on
 HARD_FRAMES = 120
-CHANGED = 0.2  # of a level, relative to the frame's own change of light: an imprint
+# An imprint, of an image of so many rows: relative change of color, lengths in px, least share of the frame
+ROWS, FINE, AROUND, OPENED, CLOSED = 240, 1.5, 151, 3, 9
+CHANGED, DARK_LEVELS, LEAST_SHARE = 0.06, 8.0, 0.003
 UNKNOWN_SHARE, KNOWN_SHARE = 1 / 3, 0.1
 
 
@@ -42,12 +47,13 @@ def torn(run: Run) -> dict[str, Row]:
     """Sound frames that are called torn, and frames of two moments that are not."""
     rows: dict[str, Row] = {}
     for name in SETS_OF_FRAMES:
-        at_rest, images = background(run, name), touched(run, name)
+        at_rest, images = background(run, name), touches(run, name)
         rows[name] = _torn(at_rest, images)
     for one in clips(run):
         images = one.frames[::EVERY_OF_CLIP]
         rows[one.crop] = _sum(rows.get(one.crop), _torn(one.background, images))
-    rests, of_grasp = wedge_rests(), {}
+    rests = wedge_rests()
+    of_grasp: dict[str, list[np.ndarray]] = {}
     for grasp, image in run.some(spread_over(wedge_pressed(), HARD_FRAMES)):
         of_grasp.setdefault(grasp, []).append(gelform.read_image(DATA / "force-wedge" / image))
     for grasp, images in of_grasp.items():
@@ -86,20 +92,19 @@ def _sum(one: Row | None, other: Row) -> Row:
 def exposure(run: Run) -> dict[str, Row]:
     """Frames of the background's exposure that are called brighter or darker, and frames of another that are not.
 
-    Frames of the background's own exposure are the gel at rest with the camera's noise; the others are presses, times 0.9 and
-    1.1. A press as it was taken is in neither, because its true exposure is not known.
+    Frames of the background's own exposure are the gel at rest with the camera's noise; the others are presses,
+    times 0.9 and 1.1. A press as it was taken is in neither, because its true exposure is not known.
     """
     rows: dict[str, Row] = {}
     for name in SETS_OF_FRAMES:
         reconstruct = gelform.Reconstructor(own(run, name))
-        images, rng = touched(run, name), np.random.default_rng(0)
+        images, rng = touches(run, name), np.random.default_rng(0)
         plain = [with_noise(reconstruct.calibration, rng) for _ in images]
         called = [_brightness(reconstruct, image) for image in plain]
+        other = [gain * image.astype(np.float64) for image in images for gain in GAINS]
         missed = [
-            not _brightness(reconstruct, np.clip(np.rint(gain * image.astype(np.float64)), 0, 255).astype(np.uint8))
-            for image in images
-            for gain in GAINS
-        ]  # fmt: skip
+            not _brightness(reconstruct, np.clip(np.rint(image), 0, 255).astype(np.uint8)) for image in other
+        ]
         rows[name] = row(no=called, yes=missed)
     return shown("exposure", rows)
 
@@ -113,7 +118,7 @@ def _brightness(reconstruct: gelform.Reconstructor, image: np.ndarray) -> bool:
 
 
 def contacts(run: Run) -> dict[str, Row]:
-    """Hard objects beyond 2 N without a contact, and those of which `background_pressed` is said; the wedge, three presses."""
+    """Hard objects beyond 2 N on the wedge without a contact; those of which `background_pressed` is said."""
     calibration, rests = own(run, "force-wedge"), wedge_rests()
     rows: dict[str, Row] = {}
     for name in OFTEN_HARD:
@@ -134,7 +139,7 @@ def contacts(run: Run) -> dict[str, Row]:
 
 
 def unknown(run: Run) -> dict[str, Row]:
-    """Frames of a home-made sensor a third of whose imprint is unknown, without `contact_unknown`; and those that have it all."""
+    """Frames a third of whose imprint is unknown, without `contact_unknown`; known ones that have it."""
     reconstruct = gelform.Reconstructor(own(run, "homemade-hd"))
     judged = []
     for path in run.some(sorted((DATA / "homemade-hd" / "frames").glob("*.jpg"))):
@@ -142,25 +147,37 @@ def unknown(run: Run) -> dict[str, Row]:
         result = reconstruct.from_image(image)
         region = imprint(image, reconstruct.background)
         share = float(np.mean(~result.known[region])) if region.any() else 0.0
-        figures = {one.name: one.figure for one in result.health}
-        judged.append((share, figures.get("contact_unknown"), path.name))
-    figures = [said for _, said, _ in judged if said is not None]
-    lost = [said is None for share, said, _ in judged if share >= UNKNOWN_SHARE]
-    seen = [said is not None for share, said, _ in judged if share < KNOWN_SHARE]
+        named = {one.name: one.figure for one in result.health}
+        judged.append((share, named.get("contact_unknown")))
+    figures = [said for _, said in judged if said is not None]
+    lost = [said is None for share, said in judged if share >= UNKNOWN_SHARE]
+    seen = [said is not None for share, said in judged if share < KNOWN_SHARE]
     return shown("imprint a third unknown", {"homemade-hd": row(no=seen, yes=lost, figures=figures)})
 
 
 def imprint(image: np.ndarray, at_rest: np.ndarray) -> np.ndarray:
-    """The largest region (H, W) whose color differs from that of rest, beside the change that all of the frame shows."""
-    scale = image.shape[0] / 240
-    one, other = (
-        np.log(cv2.GaussianBlur(np.asarray(a, dtype=np.float32), (0, 0), 1.5 * scale) + 8)
-        for a in (image, at_rest)
+    """The outline (H, W) of the largest imprint: where the color differs from that of rest and of the light around it.
+
+    It knows no gelform: on each of the 33 frames it was compared with the picture by eye.
+    """
+    scale = image.shape[0] / ROWS
+    smooth = (
+        cv2.GaussianBlur(np.asarray(a, dtype=np.float32), (0, 0), FINE * scale) for a in (image, at_rest)
     )
-    change = one - other
+    one, other = (np.log(a + DARK_LEVELS) for a in smooth)
+    change = cv2.resize(one - other, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
     change -= np.median(change, axis=(0, 1))
-    mask = (np.abs(change).max(axis=-1) > CHANGED).astype(np.uint8)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
-    if count < 2:
-        return np.zeros(mask.shape, dtype=bool)
-    return np.asarray(labels == 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax()))
+    percents = np.clip(np.rint(100 * change + 128), 0, 255).astype(np.uint8)
+    around = [cv2.medianBlur(np.ascontiguousarray(percents[..., k]), AROUND) for k in range(3)]
+    change -= (np.dstack(around).astype(np.float32) - 128) / 100
+    mask = (np.linalg.norm(change, axis=-1) > CHANGED).astype(np.uint8)
+    for act, size in ((cv2.MORPH_OPEN, OPENED), (cv2.MORPH_CLOSE, CLOSED)):
+        mask = cv2.morphologyEx(mask, act, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    drawn = np.zeros_like(mask)
+    largest = max(outlines, key=cv2.contourArea, default=None)
+    if largest is not None:
+        cv2.fillPoly(drawn, [largest], 1)
+    if drawn.mean() < LEAST_SHARE:
+        drawn[:] = 0
+    return cv2.resize(drawn, image.shape[1::-1], interpolation=cv2.INTER_NEAREST).astype(bool)

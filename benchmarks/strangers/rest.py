@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 import gelform
 from gelform.calibration.starters import load_starter
-from presses import DATA
 from real_frames.sets import MINI, Run
 from starters.make import unit_of
 from strangers.rows import Row, row, shown
-from strangers.units import BEGINNING, MAKES, SECOND, background, clips, own, said_of, starter_without, wedge_rests
+from strangers.units import (
+    BEGINNING,
+    MAKES,
+    SECOND,
+    Said,
+    background,
+    clips,
+    own,
+    pitch_of,
+    said_of,
+    starter_without,
+    wedge_rests,
+)
 
-TOUCH = ("background_touched", "uneven_background", "starter_light")  # findings that say or hint that something touches
-BLOCK, STILL = 8, 5.0  # px, and gray levels by which a block of a frame at rest moves at most: the codec's steps are under 4
+# Findings that say or hint that something touches the gel
+TOUCH = ("background_touched", "uneven_background", "starter_light")
+# px, and gray levels by which a block of a frame at rest moves at most: the codec's steps are under 4
+BLOCK, STILL = 8, 5.0
 PER_CLIP = 4
 
 
@@ -27,12 +41,11 @@ def rest(run: Run) -> dict[str, Any]:
 def _backgrounds(run: Run) -> dict[str, Row]:
     given: dict[str, list[Any]] = {}
     for name in MAKES:
-        made, pitch = starter_without(run, name), _pitch(name)
-        image = background(run, name)
-        given[name] = [said_of(lambda: made.for_frame(image, mm_per_px=pitch).findings)]
+        made = starter_without(run, name)
+        given[name] = [said_of(made.for_frame, background(run, name), mm_per_px=pitch_of(name))]
     shipped = load_starter(MINI)
     for one in clips(run):
-        given.setdefault(one.crop, []).append(said_of(lambda: shipped.for_frame(one.background).findings))
+        given.setdefault(one.crop, []).append(said_of(shipped.for_frame, one.background))
     rows = {}
     for name, said in given.items():
         rows[f"{name}, refused"] = row(no=[why is not None for why, _ in said])
@@ -40,11 +53,6 @@ def _backgrounds(run: Run) -> dict[str, Row]:
         called = [any(key in found for key in TOUCH) for _, found in said]
         rows[f"{name}, called touched"] = row(no=called, figures=figures)
     return shown("background at rest", rows)
-
-
-def _pitch(name: str) -> float | None:
-    path = DATA / name / "presses.csv"
-    return gelform.read_presses(DATA / name).mm_per_px if path.is_file() else None
 
 
 def _frames(run: Run) -> dict[str, Row]:
@@ -67,12 +75,13 @@ def is_still(image: np.ndarray, at_rest: np.ndarray) -> bool:
     """Whether no block of an image differs from the gel at rest by more than a codec's steps."""
     change = image.astype(np.float32) - at_rest
     height, width = (n // BLOCK * BLOCK for n in change.shape[:2])
-    blocks = change[:height, :width].reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK, 3).mean(axis=(1, 3))
-    return float(np.abs(blocks).max()) < STILL
+    blocks = change[:height, :width].reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK, 3)
+    return float(np.abs(blocks.mean(axis=(1, 3))).max()) < STILL
 
 
 def _judged(reconstruct: gelform.Reconstructor, image: np.ndarray) -> tuple[bool, float, float, bool]:
     result = reconstruct.from_image(image)
+    assert result.depth_sigma_mm is not None
     at = np.unravel_index(int(np.where(result.known, result.depth_mm, -np.inf).argmax()), result.shape)
     own_findings = {one.name for one in reconstruct.findings}
     doubt = bool({one.name for one in result.health} - own_findings)
@@ -97,7 +106,7 @@ def moments(run: Run) -> dict[str, Row]:
     for one in clips(run):
         of_crop.setdefault(one.crop, []).append(one.background)
     for name, images in of_crop.items():
-        for first, second in zip(images, images[1:]):
+        for first, second in pairwise(images):
             calibration = unit_of(load_starter(MINI), first)
             given.setdefault(name, []).append(today(calibration, second))
     rests = list(wedge_rests().values())
@@ -111,8 +120,8 @@ def moments(run: Run) -> dict[str, Row]:
     return shown("another moment at rest", rows)
 
 
-def today(calibration: gelform.Calibration, image: np.ndarray) -> tuple[str | None, dict[str, float]]:
+def today(calibration: gelform.Calibration, image: np.ndarray) -> Said:
     """Why today's background was refused, or None; and the findings that the calibration alone does not have."""
-    why, found = said_of(lambda: gelform.Reconstructor(calibration, background=image).findings)
+    why, found = said_of(gelform.Reconstructor, calibration, background=image)
     own_findings = {one.name for one in calibration.findings}
     return why, {name: figure for name, figure in found.items() if name not in own_findings}

@@ -17,13 +17,15 @@ from strangers.units import (
     BALLS,
     HOMEMADE,
     MAKES,
+    Said,
     background,
     clips,
     own,
+    pitch_of,
     said_of,
     spread_over,
     starter_without,
-    touched as frames_touched,
+    touches,
     wedge_pressed,
     wedge_rests,
 )
@@ -39,7 +41,7 @@ def touched(run: Run) -> dict[str, Any]:
     rows: dict[str, Row] = {}
     for name in dict.fromkeys((*MAKES, *BALLS, *HOMEMADE)):
         at_rest = background(run, name)
-        pairs = [(at_rest, image) for image in frames_touched(run, name)]
+        pairs = [(at_rest, image) for image in touches(run, name)]
         if name in MAKES:
             _of_starter(rows, name, starter_without(run, name), pairs)
         calibration = own(run, name)
@@ -55,11 +57,6 @@ def touched(run: Run) -> dict[str, Any]:
         for grasp, image in run.some(spread_over(wedge_pressed(), WEDGE_FRAMES))
     ]
     _of_today(rows, "force-wedge", [(wedge, *pair) for pair in chosen])
-    for kind in ("starter", "today"):
-        for weight in WEIGHTS:
-            of_kind = [one for key, one in rows.items() if key.endswith(f", {kind}, {weight:g}")]
-            wrong, count = (sum(one[key] for one in of_kind) for key in ("yes, wrong", "yes"))
-            rows[f"all, {kind}, {weight:g}"] = row(yes=[k < wrong for k in range(count)])
     return shown("touched background", rows)
 
 
@@ -71,7 +68,8 @@ def blend(at_rest: np.ndarray, image: np.ndarray, weight: float) -> np.ndarray:
 def _of_starter(rows: dict[str, Row], name: str, starter: Starter, pairs: list[Pair]) -> None:
     for weight in WEIGHTS:
         given = [blend(*pair, weight) for pair in pairs]
-        said = [said_of(lambda image=image: starter.for_frame(image).findings) for image in given]  # type: ignore[misc]
+        pitch = pitch_of(name)
+        said = [said_of(starter.for_frame, image, mm_per_px=pitch) for image in given]
         rows[f"{name}, starter, {weight:g}"] = _row(said)
 
 
@@ -81,7 +79,7 @@ def _of_today(rows: dict[str, Row], name: str, given: list[tuple[Any, np.ndarray
         rows[f"{name}, today, {weight:g}"] = _row(said)
 
 
-def _row(said: list[tuple[str | None, dict[str, float]]]) -> Row:
+def _row(said: list[Said]) -> Row:
     silent = [why is None and not any(key in found for key in SAID) for why, found in said]
     figures = [found[key] for _, found in said for key in SAID if key in found]
     return row(yes=silent, figures=figures)

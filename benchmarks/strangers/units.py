@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from starters.make import unit_of
 
 DIGIT = "digit"
 BALLS = (*SETS, "digit-c")
-# Units of which a calibration was not tuned; the circles of homemade-even are by hand
 HOMEMADE = ("homemade-even/a", "homemade-even/b", "homemade-hd")
 MAKES = {
     **dict.fromkeys(("mini-ball", "mini-d", "mini-edge", "mini-objects", "mini-sphere-force"), MINI),
@@ -31,11 +31,15 @@ OTHER_UNIT = {"mini-ball": "mini-d", "mini-d": "mini-ball", "digit-ball": "digit
 BEGINNING, SECOND = 3, 25  # frames of a clip: those of its background, and those that surely are at rest
 DARK_BORDER = 92  # mean gray level; the clips with the gel's rim in sight are darker
 HARD_NAMES = (
-    "baseball", "lanyard_card", "tsa_lock", "rice", "peg", "pen_", "brush", "scissor", "strainer", "controller", "remote", "wires",
-    "knife", "book",
+    "baseball", "lanyard_card", "tsa_lock", "rice", "peg", "pen_", "brush", "scissor", "strainer", "controller",
+    "remote", "wires", "knife", "book",
 )  # fmt: skip
 WEDGE_N = 2.0
 TOUCHES = 20  # frames with a touch of a set of balls
+
+
+# Why something was refused, or None; and its findings, by name with their figures
+Said = tuple[str | None, dict[str, float]]
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,11 @@ def starter_without(run: Run, name: str) -> Starter:
     return starter_from_calibration(run.calibration(other), shipped.sensor, units=(other,), **stated)
 
 
+def pitch_of(name: str) -> float | None:
+    """Width of a pixel of a set of presses, mm; None: the make's."""
+    return gelform.read_presses(DATA / name).mm_per_px if name in BALLS else None
+
+
 def own(run: Run, name: str) -> gelform.Calibration:
     """A unit's own calibration, or its starter's where it has no presses."""
     if name == "force-wedge":
@@ -120,7 +129,7 @@ def background(run: Run, name: str) -> np.ndarray:
     return np.asarray(gelform.read_presses(DATA / name).background, dtype=np.float32)
 
 
-def touched(run: Run, name: str) -> Sequence[np.ndarray]:
+def touches(run: Run, name: str) -> Sequence[np.ndarray]:
     """Frames of a set in which something touches the gel, for a quick run every sixth of them."""
     if name == "mini-objects":
         return run.some([gelform.read_image(DATA / name / f"{one}.png") for one in OBJECTS])
@@ -130,7 +139,7 @@ def touched(run: Run, name: str) -> Sequence[np.ndarray]:
     return [one.image for one in run.some(spread_over(gelform.read_presses(DATA / name).presses, TOUCHES))]
 
 
-def spread_over(items: Sequence, count: int) -> list:
+def spread_over(items: Sequence[Any], count: int) -> list[Any]:
     """At most so many of them, evenly spread."""
     return [items[int(k * len(items) / count)] for k in range(count)] if len(items) > count else list(items)
 
@@ -158,11 +167,9 @@ def wedge_pressed(objects: Sequence[str] | None = None) -> list[tuple[str, str]]
     ]
 
 
-def said_of(act: Callable[[], tuple[gelform.errors.Finding, ...]]) -> tuple[str | None, dict[str, float]]:
-    """Why it was refused, or None; and the findings, by name with their figures."""
+def said_of(make: Callable[..., Any], *given: Any, **known: Any) -> Said:
+    """What is said of what `make` makes: a calibration, or what reconstructs with it."""
     try:
-        return None, {one.name: one.figure for one in act()}
+        return None, {one.name: one.figure for one in make(*given, **known).findings}
     except gelform.errors.CalibrationError as problem:
         return str(problem), {}
-
-
