@@ -40,7 +40,7 @@ def presses(run: Run) -> dict[str, Row]:
     for name in (*BALLS, *HOMEMADE):
         report = own(run, name).report
         assert report is not None
-        rows[name] = row(yes=[not one.accepted for one in report.presses])
+        rows[f"{name}, all"] = row(yes=[not one.accepted for one in report.presses])
     for name in run.some(BALLS):
         said = run.kept(f"{name}, mixed", lambda name=name: _mixed(run, name))  # type: ignore[misc]
         rows[f"{name}, mixed"] = row(no=said[1], yes=said[0])

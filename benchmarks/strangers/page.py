@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from textwrap import fill as fill_text
 from typing import Any
 
-from real_frames.page import fill_pages, pattern_of
+from real_frames.page import WIDTH, fill_pages, pattern_of
 from report import table
 
 PAGES = ("docs/guarantees.md",)
@@ -15,6 +16,7 @@ DECISIONS: tuple[tuple[str, str, tuple[str, ...], str], ...] = (
     ("gel at rest refused by the starter", "rest", (", refused",), "no"),
     ("gel at rest that the starter calls touched, uneven or doubtful", "rest", (", called touched",), "no"),
     ("frame at rest with a contact", "rest", (", contact",), "no"),
+    ("frame at rest higher than 0.05 mm without a finding of its own", "rest", (", high",), "no"),
     ("frame at rest with a finding of its own", "rest", ("the calibration's",), "no"),
     *(
         (
@@ -34,7 +36,7 @@ DECISIONS: tuple[tuple[str, str, tuple[str, ...], str], ...] = (
     ("stream that begins at rest and gives no result", "streams", (", does not begin",), "yes"),
     ("stream that begins at rest and is called touched", "streams", ("is called touched",), "no"),
     ("stream that begins in contact and gives a silent result", "streams", ("without a finding",), "no"),
-    ("press of a ball rejected", "presses", ("",), "yes"),
+    ("press of a ball rejected", "presses", (", all",), "yes"),
     ("frame at rest or of an edge accepted among ten presses", "presses", (", mixed",), "no"),
     ("background of the right make refused by its light", "light", (", turned, mirrored or BGR",), "no"),
     ("turned, mirrored or BGR background accepted silently", "light", (", turned, mirrored or BGR",), "yes"),
@@ -67,7 +69,7 @@ def decisions(figures: dict[str, Any]) -> str:
         if not found:
             continue
         wrong, count = (sum(row[k] for row in found.values()) for k in (0, 1))
-        name = max(found, key=lambda one: (found[one][0] / found[one][1], found[one][1]))
+        name = max(found, key=lambda one: (found[one][0] + 1) / (found[one][1] + 2) if found[one][0] else 0)
         most = f"{_set_of(name, ends)}: {found[name][0]} of {found[name][1]}" if wrong else ""
         sets = sum(row[0] > 0 for row in found.values())
         said = [value for row in found.values() for value in row[2] or ()]
@@ -83,7 +85,20 @@ def _set_of(name: str, ends: tuple[str, ...]) -> str:
     return name.removesuffix(end).split(", begins")[0].split(", a finding")[0]
 
 
-BLOCKS = {"decisions": decisions}
+def heights(figures: dict[str, Any]) -> str:
+    """The highest known depth of frames at rest."""
+    said = []
+    for name, one in figures["rest"].items():
+        if name.endswith(", contact"):
+            said.append(
+                f"{one['highest, median mm']:.3f} mm in half of the {one['no']} frames of {name.removesuffix(', contact')}, "
+                f"{one['highest, 95 % mm']:.3f} mm in 95 % of them, at worst {one['worst mm']:.3f} mm with a sigma of "
+                f"{one['its sigma mm']:.3f} mm"
+            )
+    return fill_text(f"The highest known depth at rest is at most {'; '.join(said)}.", WIDTH)
+
+
+BLOCKS = {"decisions": decisions, "heights": heights}
 
 
 def fill(figures: dict[str, Any]) -> list[str]:

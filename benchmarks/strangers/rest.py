@@ -31,6 +31,7 @@ TOUCH = ("background_touched", "uneven_background", "starter_light")
 # px, and gray levels by which a block of a frame at rest moves at most: the codec's steps are under 4
 BLOCK, STILL = 8, 5.0
 PER_CLIP = 4
+HIGH_MM = 0.05
 
 
 def rest(run: Run) -> dict[str, Any]:
@@ -67,7 +68,9 @@ def _frames(run: Run) -> dict[str, Row]:
     for name, found in results.items():
         contact, depth, sigma, doubt = (list(column) for column in zip(*found))
         rows[f"{name}, contact"] = row(no=contact) | _depths(depth, sigma)
-        rows[f"{name}, a finding beside the calibration's"] = row(no=doubt) | _depths(depth, sigma)
+        high = [mm > HIGH_MM and not said for mm, said in zip(depth, doubt)]
+        rows[f"{name}, high"] = row(no=high)
+        rows[f"{name}, a finding beside the calibration's"] = row(no=doubt)
     return shown("frame at rest", rows)
 
 

@@ -27,7 +27,7 @@ def filled(figures):
 
 def test_the_page_quotes_the_recorded_figures():
     """`python benchmarks/strangers.py --pages` writes them."""
-    assert page.BLOCK.search(TEXT)[2] == "decisions"
+    assert {found[2] for found in page.BLOCK.finditer(TEXT)} == set(page.BLOCKS)
     assert filled(FIGURES) == TEXT
 
 
@@ -79,4 +79,4 @@ def test_a_touch_is_not_still_and_a_blend_is_part_of_it(gel):
     touched[40:60, 40:60] += 30
     assert is_still(gel + 3, gel)
     assert not is_still(touched, gel)
-    assert np.abs(blend(gel, touched, 0.25) - gel).max() == pytest.approx(7.5)
+    assert np.abs(blend(gel, touched, 0.25) - gel).max() == pytest.approx(7.5, abs=1e-3)
