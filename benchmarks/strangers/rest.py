@@ -126,5 +126,5 @@ def moments(run: Run) -> dict[str, Row]:
 def today(calibration: gelform.Calibration, image: np.ndarray) -> Said:
     """Why today's background was refused, or None; and the findings that the calibration alone does not have."""
     why, found = said_of(gelform.Reconstructor, calibration, background=image)
-    own_findings = {one.name for one in calibration.findings}
-    return why, {name: figure for name, figure in found.items() if name not in own_findings}
+    known = {one.name: one.figure for one in calibration.findings}
+    return why, {name: figure for name, figure in found.items() if known.get(name) != figure}
