@@ -5,8 +5,10 @@
     python benchmarks/strangers.py --pages                  # writes the recorded figures into docs/guarantees.md
     python benchmarks/strangers.py --cache /tmp/calibrations streams
 
-A unit is left out of the starter that judges it, and frames are judged by calibrations that have not seen them. The data
-are read from GELFORM_DATA (default ../shared/data). A cached calibration is used again while its sources stay the same.
+A unit is left out of the starter that judges it. `contacts` and `unknown` judge frames that their calibrations have not
+seen; today's background in `touched`, and `exposure`, use each set's own calibration on all its presses, as real_frames.py
+does. The data are read from GELFORM_DATA (default ../shared/data). A cached calibration is used again while its sources stay
+the same.
 """
 
 from __future__ import annotations
