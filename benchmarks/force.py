@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -36,13 +36,21 @@ RECORDINGS = 3
 
 @cache
 def wedge() -> gelform.Calibration:
-    """The calibration of the wedge, on the golf ball's frames from 2 N, with the mean of its three images at rest."""
-    source = DATA / "force-wedge"
-    rows = [
-        row
-        for _, row in table_rows(source / "loads.csv", ("image", "object"))
-        if row["object"] == "golf_ball"
+    """The calibration of the wedge, on the golf ball's frames from 2 N."""
+    return wedge_of(pressed_names())
+
+
+def pressed_names() -> list[str]:
+    """The golf ball's frames from 2 N, by the names of their images."""
+    rows = (row for _, row in table_rows(DATA / "force-wedge" / "loads.csv", ("image", "object")))
+    return [
+        row["image"] for row in rows if row["object"] == "golf_ball" and float(row["force_n"]) > PRESSED_N
     ]
+
+
+def wedge_of(pressed: Sequence[str]) -> gelform.Calibration:
+    """The calibration of the wedge, on these frames of the golf ball, with the mean of its three images at rest."""
+    source = DATA / "force-wedge"
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         (folder / "background").mkdir()
@@ -50,7 +58,6 @@ def wedge() -> gelform.Calibration:
             rest = (source / f"images/golf_ball-{k}" / "rest.png").resolve()
             (folder / "background" / f"{k}.png").symlink_to(rest)
         (folder / "images").symlink_to((source / "images").resolve())
-        pressed = [row["image"] for row in rows if float(row["force_n"]) > PRESSED_N]
         lines = [f"{image},{GOLF_BALL_MM}" for image in pressed]
         (folder / "presses.csv").write_text("\n".join(["image,ball_diameter_mm", *lines, ""]))
         (folder / "sensor.toml").write_text((source / "sensor.toml").read_text())

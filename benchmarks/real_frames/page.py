@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,6 @@ from report import table
 
 ROOT = Path(__file__).parents[2]
 PAGES = ("README.md", "docs/accuracy.md", "docs/background.md", "docs/limits.md", "docs/streams.md")
-BLOCK = re.compile(r"(<!-- real_frames: (\w+) -->\n)(.*?)(?=<!-- real_frames end -->)", re.DOTALL)
 WIDTH = 150  # characters of a line of a page
 NAMES = {
     "mini-ball": "GelSight Mini",
@@ -32,20 +31,37 @@ NAMES = {
 }
 VIDEO = "mini-markers-video"
 Figures = dict[str, Any]
+Blocks = Mapping[str, Callable[[Figures], str]]
 
 
-def filled(text: str, figures: Figures) -> str:
+def pattern_of(results: str) -> re.Pattern[str]:
+    """What stands between the marks of a block of these results."""
+    return re.compile(rf"(<!-- {results}: (\w+) -->\n)(.*?)(?=<!-- {results} end -->)", re.DOTALL)
+
+
+BLOCK = pattern_of("real_frames")
+
+
+def filled(
+    text: str, figures: Figures, pattern: re.Pattern[str] = BLOCK, blocks: Blocks | None = None
+) -> str:
     """A page with the blocks that the figures give."""
-    return BLOCK.sub(lambda found: found[1] + BLOCKS[found[2]](figures) + "\n", text)
+    made = BLOCKS if blocks is None else blocks
+    return pattern.sub(lambda found: found[1] + made[found[2]](figures) + "\n", text)
 
 
-def fill_pages(figures: Figures) -> list[str]:
+def fill_pages(
+    figures: Figures,
+    pages: Sequence[str] = PAGES,
+    pattern: re.Pattern[str] = BLOCK,
+    blocks: Blocks | None = None,
+) -> list[str]:
     """Write the blocks of every page; the pages that changed."""
     changed = []
-    for name in PAGES:
+    for name in pages:
         path = ROOT / name
         before = path.read_text(encoding="utf-8")
-        if (after := filled(before, figures)) != before:
+        if (after := filled(before, figures, pattern, blocks)) != before:
             path.write_text(after, encoding="utf-8")
             changed.append(name)
     return changed
