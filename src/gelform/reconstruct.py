@@ -205,9 +205,11 @@ class FrameRecord:
     @once
     def contact(self) -> Mask:
         """Where something touches (H, W)."""
-        errors, touch = self.depth_errors, self._touch(DepthErrors.contact_sigma)
-        own = None if errors is None else self._widened(errors.own_sigma(self.fixed.limit.ignorance_mm))
-        return self.today.contact(*touch, own_sigma=own)
+        errors, touch, most = self.depth_errors, self._touch(DepthErrors.beside_sigma), self.fixed.limit.ignorance_mm
+        if errors is None:
+            return self.today.contact(*touch)
+        of_frame = (self._widened(one(most)) for one in (errors.own_sigma, errors.contact_sigma))
+        return self.today.contact(*touch, *of_frame)
 
     def _touch(
         self, sigma_of: Callable[[DepthErrors, float], Map]

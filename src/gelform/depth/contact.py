@@ -268,6 +268,7 @@ class Evidence:
         evidence: Map,  # (H, W), square of the mean pressure around over its variance
         smooth: Map,  # (H, W), the depth smoothed
         bent: Map,  # (H, W), minus its Laplacian
+        deepest_sigma: Map,  # (H, W), mm, the deviation of the deepest region
     ) -> tuple[Mask, NDArray[np.int32]]:
         """Whether each label (number + 1,) is a contact, and the (y, x) of its deepest pixel (number + 1, 2)."""
         factor, area = self.noise_factor, self.pitch[0] * self.pitch[1]
@@ -278,6 +279,9 @@ class Evidence:
         )  # fmt: skip
         _variance_below(depth, sigma, excess, step=max(1, depth.size // MEDIAN_SAMPLES))
         pixels, deepest_mm, x, y, deviation, square, own_mm = measures.T
+        if number:
+            k = int(np.argmax(np.minimum(own_mm, deepest_mm)))
+            deviation[k] = deepest_sigma[int(y[k]), int(x[k])]
         deep = (pixels >= self.min_area_mm2 / area) & (deepest_mm > factor * deviation)
         noise, sigmas = np.sqrt(deviation**2 + excess), np.sqrt(square)
         own = np.minimum(own_mm, deepest_mm) / np.maximum(noise, 1e-9)
@@ -404,6 +408,7 @@ class PreparedContact:
         slopes: SlopeDeviations | None = None,
         known: Mask | None = None,  # (H, W), pixels whose depth was not filled in
         own_sigma: Map | None = None,  # the one that the frame itself shows, by which outlines are drawn
+        deepest_sigma: Map | None = None,  # the one by which the deepest region stands
     ) -> Mask:
         """The contact mask (H, W) of a depth."""
         if sigma is None:  # the median of negative depths tells the noise, as of half a Gaussian
@@ -440,7 +445,7 @@ class PreparedContact:
             np.empty(runs_work(depth.shape), dtype=np.int32), stiffness=self._stiffness, share=0.5, reach=self._reach_px,
         )  # fmt: skip
         count, labels = labeled(contact)
-        stands, deepest = self._stands(count, labels, depth, sigma, evidence, smooth, bent)
+        stands, deepest = self._stands(count, labels, depth, sigma, evidence, smooth, bent, sigma if deepest_sigma is None else deepest_sigma)
         _standing_regions(labels, stands, deepest, depth, contact, reach=NEIGHBORHOOD_PX)
         return contact
 

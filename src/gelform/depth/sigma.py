@@ -18,7 +18,7 @@ from gelform.arrays import Array, Floats, Map, Mask, Slopes
 from gelform.depth.coarse import Coarse, coarse_of
 from gelform.depth.solvers.dct import CosineFilter
 from gelform.errors import ConvergenceError, Finding
-from gelform.foundations.filters import bessel_k, medians_where
+from gelform.foundations.filters import SIGMA_OF_MEDIAN, bessel_k, medians_where
 
 # Parts of the image's height: the influence's length L, and the standard deviation of the window for negative depths. Depth
 # off contact is covered alike with half and twice of either, on twelve real sets.
@@ -89,9 +89,11 @@ class DepthSigma:
         anywhere, of_contact, below, free = self._filter(cells[:4])
         own = below / np.maximum(free, np.float32(LEAST_FREE))
         of_frame = float(cells[2].mean()) / max(float(cells[3].mean()), LEAST_FREE)
+        negative = cells[2][cells[2] > 0]
+        usual = SIGMA_OF_MEDIAN**2 / 2 * float(np.median(negative)) if negative.size else 0.0
         least = np.float32(1e-14)  # mm^2; the filter rounds
         anywhere, of_contact = (np.maximum(m * self._beside_border, least) for m in (anywhere, of_contact))
-        numbers = own, of_frame, cells[4:], self._mm_per_px, self.numbers["gain"]
+        numbers = own, of_frame, min(usual, of_frame), cells[4:], self._mm_per_px, self.numbers["gain"]
         return DepthErrors(self.coarse, anywhere, of_contact, *numbers)
 
 
@@ -104,6 +106,7 @@ class DepthErrors:
     contact_spread: Map  # the same for the judgment of contacts
     own: Map  # twice the mean square of negative depths around, mm^2
     own_of_frame: float  # the same in the whole frame
+    usual_of_frame: float  # the same by the median of negative depths, which a valley does not move
     # (5, r, c), the slopes that may be common errors in all (p, q), of steep faces alone (p, q), and the share of
     # pixels at rest
     slopes_off: Slopes = field(repr=False)
@@ -135,11 +138,15 @@ class DepthErrors:
 
         A hill that another light makes may lie far from the valleys that it makes, so the whole frame's error counts.
         """
+        return self._root(self._with_own(self.contact_spread, self.usual_of_frame), most_mm)
+
+    def beside_sigma(self, most_mm: float) -> Map:
+        """`contact_sigma` beside the deepest contact, which valleys may be the reaction of: their depth counts, too."""
         return self._root(self._with_own(self.contact_spread, self.own_of_frame), most_mm)
 
     def own_sigma(self, most_mm: float) -> Map:
         """The part of `contact_sigma` that the frame itself shows, in its negative depths."""
-        return self._root(self._with_own(np.zeros_like(self.spread), self.own_of_frame), most_mm)
+        return self._root(self._with_own(np.zeros_like(self.spread), self.usual_of_frame), most_mm)
 
     def slope_sigma(self, most_mm: float) -> Map:
         """The one by the slopes alone, as of a frame whose negative depths are no error."""
