@@ -282,11 +282,9 @@ class Evidence:
         if number:
             k = int(np.argmax(np.minimum(own_mm, deepest_mm)))
             deviation[k] = deepest_sigma[int(y[k]), int(x[k])]
-        deep = (pixels >= self.min_area_mm2 / area) & (deepest_mm > factor * deviation)
-        noise, sigmas = np.sqrt(deviation**2 + excess), np.sqrt(square)
-        own = np.minimum(own_mm, deepest_mm) / np.maximum(noise, 1e-9)
-        # A region's own depth and its pressure exceed two noise factors together, as the root of the sum of their squares.
-        stands = deep & (np.minimum(own, sigmas) > factor) & (np.hypot(own, sigmas) > 2 * factor)
+        # A depth is over the gel around, which is off by as much, so the variance of the difference is twice its own.
+        own = np.minimum(own_mm, deepest_mm) / np.maximum(np.sqrt(2 * deviation**2 + excess), 1e-9)
+        stands = (pixels >= self.min_area_mm2 / area) & (np.minimum(own, np.sqrt(square)) > factor)
         deepest_yx = np.column_stack([y, x]).astype(np.int32)
         return np.append(False, stands), np.vstack([np.zeros((1, 2), np.int32), deepest_yx])
 
