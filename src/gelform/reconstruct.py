@@ -228,7 +228,9 @@ class FrameRecord:
         if self.depth_errors is not None:
             of_depth = (
                 *steep_finding(self.depth_mm, self.contact, self.budget.steep, self.depth_errors),
-                *self.today.contact.pressed_background(*self._touch(DepthErrors.slope_sigma)),
+                *self.today.contact.pressed_background(
+                    *self._touch(DepthErrors.slope_sigma), touched=bool(self.contact.any())
+                ),
             )
         touched = partial(self.today.untouched_image.touched, self.seen.image)
         unknown = unknown_contact(self.contact, self.slopes.at_rest, self.known, touched)

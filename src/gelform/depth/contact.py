@@ -245,12 +245,13 @@ _standing_regions = Kernel(
 class Evidence:
     """Which regions stand, by their own uncertainty.
 
-    A region's deepest depth has to exceed `noise_factor` of its own standard deviations. So do the pressure of a pixel and
-    the depth of the region's own pressure: gel that another object draws down has depth without pressure of its own.
-    The depth that a pressure makes at the distance r is `K0(r/L) / (2 pi)`.
+    A region's depth has to exceed `noise_factor` of its standard deviations: its deepest depth, and the depth of the
+    region's own pressure, as gel that another object draws down has depth without pressure of its own. So does the pressure
+    of a pixel. The depth that a pressure makes at the distance r is `K0(r/L) / (2 pi)`.
 
     No contact makes a negative depth. What negative depths have more than their standard deviations say, as of dust or of
-    another light, is the frame's own noise, and counts as one more error of the depth that a region makes.
+    another light, is the frame's own noise, and counts as one more error of the depth that a region makes. Beside the
+    deepest region it may be its reaction, so that region may have a deviation without it.
     """
 
     pitch: tuple[float, float]  # (x, y), mm
@@ -268,7 +269,7 @@ class Evidence:
         evidence: Map,  # (H, W), square of the mean pressure around over its variance
         smooth: Map,  # (H, W), the depth smoothed
         bent: Map,  # (H, W), minus its Laplacian
-        deepest_sigma: Map,  # (H, W), mm, the deviation of the deepest region
+        deepest_sigma: Map | None = None,  # (H, W), mm, the deviation where the deepest region is
     ) -> tuple[Mask, NDArray[np.int32]]:
         """Whether each label (number + 1,) is a contact, and the (y, x) of its deepest pixel (number + 1, 2)."""
         factor, area = self.noise_factor, self.pitch[0] * self.pitch[1]
@@ -279,7 +280,7 @@ class Evidence:
         )  # fmt: skip
         _variance_below(depth, sigma, excess, step=max(1, depth.size // MEDIAN_SAMPLES))
         pixels, deepest_mm, x, y, deviation, square, own_mm = measures.T
-        if number:
+        if number and deepest_sigma is not None:
             k = int(np.argmax(np.minimum(own_mm, deepest_mm)))
             deviation[k] = deepest_sigma[int(y[k]), int(x[k])]
         # A depth is over the gel around, which is off by as much, so the variance of the difference is twice its own.
@@ -328,9 +329,9 @@ def contact_from_depth(
     mean around the pixel. So gel that an object draws down is no contact, and hollow contacts stay hollow. Narrow gaps
     and holes of any size where p is more than half of a plane face's, `z/L^2`, belong to the contact.
 
-    A connected region of such pixels stands if its deepest depth exceeds `noise_factor` of its own standard deviations, and
-    so do the evidence `p/sd(p)` of a pixel and the depth that the region's own pressure makes. A pressure makes the depth
-    `K0(r/L)/(2 pi)` at the distance r. Negative depths tell how much noisier a frame is than `depth_sigma_mm` says. Regions
+    A connected region of such pixels stands if its depth over the gel around exceeds `noise_factor` of its own standard
+    deviations, and so do the evidence `p/sd(p)` of a pixel and the depth that the region's own pressure makes. A pressure
+    makes the depth `K0(r/L)/(2 pi)` at the distance r. Negative depths tell how much noisier a frame is than `depth_sigma_mm` says. Regions
     on the slope of one hill are joined along the way up; they are one contact.
 
     Parameters
@@ -443,14 +444,22 @@ class PreparedContact:
             np.empty(runs_work(depth.shape), dtype=np.int32), stiffness=self._stiffness, share=0.5, reach=self._reach_px,
         )  # fmt: skip
         count, labels = labeled(contact)
-        stands, deepest = self._stands(count, labels, depth, sigma, evidence, smooth, bent, sigma if deepest_sigma is None else deepest_sigma)
+        stands, deepest = self._stands(count, labels, depth, sigma, evidence, smooth, bent, deepest_sigma)
         _standing_regions(labels, stands, deepest, depth, contact, reach=NEIGHBORHOOD_PX)
         return contact
 
     def pressed_background(
-        self, depth: Map, sigma: Map | None, slopes: SlopeDeviations | None = None, known: Mask | None = None
+        self,
+        depth: Map,
+        sigma: Map | None,
+        slopes: SlopeDeviations | None = None,
+        known: Mask | None = None,
+        *,
+        touched: bool = False,
     ) -> tuple[Finding, ...]:
         """One finding if a valley is deeper than any hill and looks like a contact turned over; arguments of `__call__`.
+
+        `touched` is whether the frame has a contact.
 
         Such a valley is a contact of the background image. Beside a contact, the depth's errors are negative, too.
         """
@@ -461,9 +470,12 @@ class PreparedContact:
         valley = self(turned, sigma, slopes, known)
         if sigma is not None:
             valley &= turned > 5 * sigma
-        if not valley.any():
+        # While something touches, a border that sinks is more likely read wrong, or drawn by the contact.
+        valleys = contacts_from_mask(valley, turned, mm_per_px=1.0)[0]
+        depths = [one.deepest_mm or 0.0 for one in valleys if not (touched and one.cut_by_border)]
+        if not depths:
             return ()
-        deepest = float(turned[valley].max())
+        deepest = max(depths)
         message = (
             f"Something touches the gel in the background image: here the gel rises up to {deepest:.2g} mm over it, with a "
             "contact's outline. Take the background again, with nothing touching the gel."
