@@ -205,7 +205,11 @@ class FrameRecord:
     @once
     def contact(self) -> Mask:
         """Where something touches (H, W)."""
-        errors, touch, most = self.depth_errors, self._touch(DepthErrors.contact_sigma), self.fixed.limit.ignorance_mm
+        errors, touch, most = (
+            self.depth_errors,
+            self._touch(DepthErrors.contact_sigma),
+            self.fixed.limit.ignorance_mm,
+        )
         if errors is None:
             return self.today.contact(*touch)
         of_frame = (self._widened(one(most)) for one in (errors.own_sigma, errors.deepest_sigma))

@@ -184,7 +184,9 @@ def test_a_contact_of_the_background_is_told_by_its_valley(dots):
         sigma = np.where(known, 0.02, 10.0).astype(np.float32)
         slopes = SlopeDeviations(sigma, sigma, depth == 0)
         depth_sigma = np.full(depth.shape, sigma_mm, np.float32)
-        return sensor.pressed_background(depth.astype(np.float32), depth_sigma, slopes, known, touched=touched)
+        return sensor.pressed_background(
+            depth.astype(np.float32), depth_sigma, slopes, known, touched=touched
+        )
 
     (found,) = findings(-depth, 0.01)
     assert found.name == "background_pressed"

@@ -73,6 +73,28 @@ def test_one_pixel_is_a_contact_of_a_pixel_s_size_and_none_is_no_contact():
     assert (found.deepest_mm, found.volume_mm3) == pytest.approx((-0.2, -0.002))
 
 
+def test_the_deepest_pixel_is_a_known_one():
+    """Unknown pixels that are deeper, or next to it, say so; those that are neither do not."""
+    mask, known = np.zeros((12, 20), bool), np.ones((12, 20), bool)
+    mask[3:9, 2:8] = mask[3:9, 11:17] = True
+    depth = 0.1 * mask
+    depth[5, 4], depth[5, 6], depth[5, 13] = 0.5, 0.3, 0.4
+    known[5, 4] = False
+
+    def found():
+        contacts, _ = contacts_from_mask(mask, depth, mm_per_px=0.1, known=known)
+        return [(one.deepest_mm, one.deepest_px, one.at_least) for one in contacts]
+
+    assert found() == [(pytest.approx(0.3), (6, 5), True), (pytest.approx(0.4), (13, 5), False)]
+    depth[5, 4] = 0.2
+    assert found()[0] == (pytest.approx(0.3), (6, 5), False)
+    known[4, 7] = False
+    assert found()[0] == (pytest.approx(0.3), (6, 5), True)
+    known[mask] = False
+    assert found()[0] == (pytest.approx(0.3), (6, 5), True)
+    assert "at least 0.300 mm deep" in repr(contacts_from_mask(mask, depth, mm_per_px=0.1, known=known)[0][0])
+
+
 @pytest.mark.parametrize(
     ("wrong", "error", "text"),
     [

@@ -43,13 +43,14 @@ class Contact:
     label : value in the label map, from 1
     area_px : number of pixels
     centroid_px : (x, y), mean position of its pixels
-    deepest_px : (x, y) of its deepest pixel
+    deepest_px : (x, y) of its deepest known pixel
     angle_deg : direction of the major axis, from x (right) toward y (down), -90 to 90
     cut_by_border : whether it reaches the image's border; if so, its measures are those of the visible part
     area_mm2 : area, mm^2
     volume_mm3 : integral of the depth, mm^3
-    deepest_mm : depth of its deepest pixel, mm
+    deepest_mm : depth of its deepest known pixel, mm
     axes_mm : full lengths of the major and minor axis of the ellipse with its second moments, mm
+    at_least : whether unknown pixels of it are deeper or next to its deepest pixel, so that it may be deeper
     """
 
     label: int
@@ -62,23 +63,43 @@ class Contact:
     volume_mm3: float | None = None
     deepest_mm: float | None = None
     axes_mm: tuple[float, float] | None = None
+    at_least: bool = False
 
     def __repr__(self) -> str:
         area = f"{self.area_px} px" if self.area_mm2 is None else f"{self.area_mm2:.3g} mm^2"
-        deepest = "" if self.deepest_mm is None else f", {self.deepest_mm:.3f} mm deep"
+        deepest = (
+            "" if self.deepest_mm is None else f", {at_least(self.at_least)}{self.deepest_mm:.3f} mm deep"
+        )
         x, y = self.centroid_px
         cut = ", cut by the border" if self.cut_by_border else ""
         return f"Contact({self.label}: {area}{deepest}, around ({x:.0f}, {y:.0f}) px{cut})"
 
 
+def at_least(unsure: bool) -> str:
+    """What stands before a largest depth next to which depth is unknown."""
+    return "at least " if unsure else ""
+
+
+def may_be_deeper(unknown: Mask, depth: Map, place: tuple[int, int]) -> bool:
+    """Whether unknown pixels (H, W) of a depth (H, W) are deeper than a known one at (x, y), or next to it."""
+    x, y = place
+    beside = unknown[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2].any()
+    return bool(beside) or bool(depth.max(where=unknown, initial=-np.inf) > depth[y, x])
+
+
 def contacts_from_mask(
-    contact: ArrayLike, depth: ArrayLike, *, mm_per_px: float | Sequence[float] | None
+    contact: ArrayLike,
+    depth: ArrayLike,
+    *,
+    mm_per_px: float | Sequence[float] | None,
+    known: ArrayLike | None = None,
 ) -> tuple[tuple[Contact, ...], NDArray[np.uint16]]:
     """The connected regions of a contact mask, the largest first, and the map of their labels.
 
     Pixels that touch at a corner are connected. Holes stay holes: a ring is one contact whose area and volume leave
-    out the region that it encloses. The depth (H, W) is positive where pressed, in mm if the scale is known. ValueError,
-    TypeError: wrong shapes, NaN, or a pitch that is not positive.
+    out the region that it encloses. The depth (H, W) is positive where pressed, in mm if the scale is known. The deepest
+    pixel is one of the `known` pixels (H, W), unless a contact has none; all are known by default. ValueError, TypeError:
+    wrong shapes, NaN, or a pitch that is not positive.
     """
     z = check_map(depth, "depth")
     mask = as_array(contact, "contact")
@@ -90,7 +111,17 @@ def contacts_from_mask(
     count, labels = labeled(mask)
     moments = np.empty((count, 14))
     _region_moments(labels, z, moments)
-    found = [_contact(k, row, pitch, mask.shape) for k, row in enumerate(moments, start=1)]
+    unsure = [False] * count
+    if known is not None and not (seen := as_array(known, "known")).all():
+        of_known = np.empty((count, 14))
+        _region_moments(labels * seen, z, of_known)
+        for k in np.flatnonzero(of_known[:, 0] < moments[:, 0]):  # regions with unknown pixels
+            if of_known[k, 0]:
+                moments[k, 7:10] = of_known[k, 7:10]
+            place = int(moments[k, 8]), int(moments[k, 9])
+            unsure[k] = may_be_deeper((labels == k + 1) & ~seen, z, place)
+    rows = zip(moments, unsure)
+    found = [_contact(k, row, pitch, mask.shape, deeper) for k, (row, deeper) in enumerate(rows, start=1)]
     return tuple(sorted(found, key=lambda one: (-one.area_px, one.label))), labels
 
 
@@ -129,7 +160,9 @@ def runs_work(shape: tuple[int, ...]) -> int:
     return 5 * shape[0] * ((shape[1] + 1) // 2)
 
 
-def _contact(label: int, row: Numbers, pitch: tuple[float, float] | None, shape: tuple[int, ...]) -> Contact:
+def _contact(
+    label: int, row: Numbers, pitch: tuple[float, float] | None, shape: tuple[int, ...], deeper: bool
+) -> Contact:
     """A region of the moments that `region_moments` sums; without measures in mm if there is no pitch."""
     count, x, y, xx, xy, yy, volume, deepest, deepest_x, deepest_y, left, right, top, bottom = row.tolist()
     center, (x_mm, y_mm) = (x / count, y / count), pitch or (1.0, 1.0)
@@ -151,6 +184,7 @@ def _contact(label: int, row: Numbers, pitch: tuple[float, float] | None, shape:
         deepest_px=(int(deepest_x), int(deepest_y)),
         angle_deg=float(np.rad2deg(np.arctan2(2 * b, a - d)) / 2),
         cut_by_border=left == 0 or top == 0 or right == shape[1] - 1 or bottom == shape[0] - 1,
+        at_least=deeper,
         **(in_mm if pitch else {}),
     )
 
