@@ -205,15 +205,16 @@ class FrameRecord:
     @once
     def contact(self) -> Mask:
         """Where something touches (H, W)."""
-        errors, touch, most = (
-            self.depth_errors,
-            self._touch(DepthErrors.contact_sigma),
-            self.fixed.limit.ignorance_mm,
-        )
+        errors, most = self.depth_errors, self.fixed.limit.ignorance_mm
         if errors is None:
-            return self.today.contact(*touch)
+            return self.today.contact(*self.touch)
         of_frame = (self._widened(one(most)) for one in (errors.own_sigma, errors.deepest_sigma))
-        return self.today.contact(*touch, *of_frame)
+        return self.today.contact(*self.touch, *of_frame)
+
+    @once
+    def touch(self) -> tuple[Map, Any, SlopeDeviations | None, Mask]:
+        """What contacts are judged by: `_touch` by `contact_sigma`."""
+        return self._touch(DepthErrors.contact_sigma)
 
     def _touch(
         self, sigma_of: Callable[[DepthErrors, float], Map]
@@ -237,7 +238,8 @@ class FrameRecord:
                 ),
             )
         touched = partial(self.today.untouched_image.touched, self.seen.image)
-        unknown = unknown_contact(self.contact, self.slopes.at_rest, self.known, touched)
+        maps = self.contact, self.depth_mm, self.touch[1], self.slopes.at_rest, self.known
+        unknown = unknown_contact(*maps, touched, self.seen.hidden, self.fixed.pitch)
         return *self.findings, *of_depth, *unknown
 
     @property

@@ -2,6 +2,7 @@
 inside, of images that are written out.
 """
 
+import cv2
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -112,14 +113,42 @@ def test_wrong_input(wrong, error, text):
 
 def test_a_gel_that_changed_without_a_contact_is_said():
     rest, known, none = np.ones((40, 50), bool), np.ones((40, 50), bool), np.zeros((40, 50), bool)
-    assert unknown_contact(none, rest, known, lambda: 0.2) == ()
+
+    def found(contact, share=0.2):
+        return unknown_contact(contact, 0.01 * ~rest, np.full(rest.shape, 0.01), rest, known, lambda: share)
+
+    assert found(none) == ()
     rest[10:30, 10:30] = False
-    (found,) = unknown_contact(none, rest, known, lambda: 0.2)
-    assert (found.name, found.figure) == ("contact_unknown", pytest.approx(0.2))
-    assert unknown_contact(~rest, rest, known, lambda: 0.2) == ()
-    assert unknown_contact(none, rest, known, lambda: 0.01) == (), "here and there, as by compression"
-    known[5:35, 5:35] = False  # dots, or another fault
-    assert unknown_contact(none, rest, known, lambda: 0.2) == ()
+    (one,) = found(none)
+    assert (one.name, one.figure) == ("contact_unknown", pytest.approx(0.2))
+    assert found(~rest) == ()
+    assert found(none, 0.01) == (), "here and there, as by compression"
+    known[5:35, 5:35] = False  # another fault, without a depth that is sure
+    assert found(none) == ()
+
+
+def test_a_touched_region_that_is_unknown_in_part_is_said():
+    """An imprint of which most is unknown beside one that is known, dust in it, and dots that hide it."""
+    contact, known = np.zeros((2, 60, 90), bool)
+    contact[10:30, 10:30] = contact[40:50, 50:60] = True
+    rest = ~cv2.dilate(contact.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
+    depth, known[:], hidden = 0.3 * ~rest, True, np.zeros((60, 90), bool)
+
+    def found(**other):
+        given = {"contact": contact, "depth": depth, "sigma": np.full(rest.shape, 0.01), "hidden": hidden}
+        given |= {"at_rest": rest, "known": known, "touched_share": lambda: 0.2, "pitch": 0.1}
+        return [(one.name, round(one.figure, 2)) for one in unknown_contact(**given | other)]
+
+    assert found() == []
+    known[12:14, 12:14] = known[7, 7] = False
+    assert found() == [], "dust"
+    known[10:30, 16:30] = contact[10:30, 16:30] = False
+    assert found() == [("contact_unknown", 0.71)]
+    assert found(hidden=~known) == [], "dots"
+    contact[10:30, 10:16] = False
+    assert found() == [("contact_unknown", 1.0)], "all of it, while another stands"
+    assert found(depth=0.15 * depth) == [], "no depth that is sure"
+    assert found(pitch=0.01) == [], "a speck"
 
 
 def test_moments_agree_with_numpy():

@@ -125,14 +125,31 @@ def contacts_from_mask(
     return tuple(sorted(found, key=lambda one: (-one.area_px, one.label))), labels
 
 
+UNKNOWN_SHARE = 1 / 3  # of a touched region, from which it is named
+
+
 def unknown_contact(
-    contact: Mask, at_rest: Mask, known: Mask, touched_share: Callable[[], float]
+    contact: Mask,
+    depth: Map,
+    sigma: Map | None,
+    at_rest: Mask,
+    known: Mask,
+    touched_share: Callable[[], float],
+    hidden: Mask | None = None,
+    pitch: float = 1.0,
 ) -> tuple[Finding, ...]:
-    """One finding if no contact (H, W) was found, but many known pixels do not have the color of rest.
+    """One finding for each touched region of which much is unknown, or one if many known pixels changed without a contact.
+
+    A touched region is contact (H, W) with the unknown pixels that join it, or such pixels alone: their color is not that
+    of rest, and the depth (H, W) filled in there exceeds its deviation. Those that are small beside another touched region,
+    such as dust, and pixels that markers or lost parts hide (H, W) do not count.
 
     `touched_share` gives the share of the largest region that no light explains: compressed video changes many colors a
     little, a touch those of a region a lot.
     """
+    unknown = ~(known | at_rest) if hidden is None else ~(known | at_rest | hidden)
+    if unknown.any() and (found := _unknown_regions(contact, unknown, depth, sigma, MIN_AREA_MM2 / pitch**2)):
+        return found
     if contact.any():
         return ()
     touched = float(np.count_nonzero(known & ~at_rest)) / max(float(np.count_nonzero(known)), 1.0)
@@ -143,6 +160,29 @@ def unknown_contact(
         "because the slopes there are not."
     )
     return (Finding("contact_unknown", message, touched),)
+
+
+def _unknown_regions(
+    contact: Mask, unknown: Mask, depth: Map, sigma: Map | None, least_px: float
+) -> tuple[Finding, ...]:
+    """The findings of touched regions of which `UNKNOWN_SHARE` or more is unknown, the largest region first."""
+    _, labels, boxes, middles = cv2.connectedComponentsWithStats((contact | unknown).view(np.uint8))
+    deep = contact | (depth > 2**0.5 * NOISE_FACTOR * (0 if sigma is None else sigma))  # as regions stand
+    pixels, number = boxes[:, cv2.CC_STAT_AREA], len(boxes)
+    share, pressed = (np.bincount(labels[one], minlength=number) / pixels for one in (unknown, deep))
+    touched = np.where((pressed > 0) & (pixels >= least_px), pixels, 0)
+    touched[0] = 0  # around all of them
+    named = np.flatnonzero((share >= UNKNOWN_SHARE) & (touched > UNKNOWN_SHARE * touched.max()))
+    order = [int(k) for k in named[np.argsort(-pixels[named], kind="stable")]]
+    return tuple(
+        Finding(
+            "contact_unknown",
+            f"{100 * share[k]:.0f} % of what touches the gel around ({middles[k, 0]:.0f}, {middles[k, 1]:.0f}) px are "
+            "unknown, because the slopes there are. It may be deeper, and its area is not that of the contact.",
+            float(share[k]),
+        )
+        for k in order
+    )
 
 
 def labeled(mask: Mask) -> tuple[int, NDArray[np.uint16]]:
@@ -365,8 +405,8 @@ def contact_from_depth(
 
     A connected region of such pixels stands if its depth over the gel around exceeds `noise_factor` of its own standard
     deviations, and so do the evidence `p/sd(p)` of a pixel and the depth that the region's own pressure makes. A pressure
-    makes the depth `K0(r/L)/(2 pi)` at the distance r. Negative depths tell how much noisier a frame is than `depth_sigma_mm` says. Regions
-    on the slope of one hill are joined along the way up; they are one contact.
+    makes the depth `K0(r/L)/(2 pi)` at the distance r. Negative depths tell how much noisier a frame is than
+    `depth_sigma_mm` says. Regions on the slope of one hill are joined along the way up; they are one contact.
 
     Parameters
     ----------
@@ -478,7 +518,8 @@ class PreparedContact:
             np.empty(runs_work(depth.shape), dtype=np.int32), stiffness=self._stiffness, share=0.5, reach=self._reach_px,
         )  # fmt: skip
         count, labels = labeled(contact)
-        stands, deepest = self._stands(count, labels, depth, sigma, evidence, smooth, bent, deepest_sigma)
+        maps = labels, depth, sigma, evidence, smooth, bent, deepest_sigma
+        stands, deepest = self._stands(count, *maps)
         _standing_regions(labels, stands, deepest, depth, contact, reach=NEIGHBORHOOD_PX)
         return contact
 

@@ -9,15 +9,14 @@ from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gelform.arrays import Array, Image, Map
+from gelform.depth.contact import at_least
 from gelform.errors import DataError, needed
 from gelform.foundations.checks import check_image, check_is, check_mm_per_px
 from gelform.foundations.files import picture_bytes, written_file
-from gelform.depth.contact import at_least
 from gelform.result import Reconstruction
 from gelform.result.maps import MAPS
 from gelform.result.metrics import angle_deg
