@@ -543,8 +543,6 @@ class PreparedContact:
             return ()
         turned = -depth
         valley = self(turned, sigma, slopes, known)
-        if sigma is not None:
-            valley &= turned > 5 * sigma
         # While something touches, a border that sinks is more likely read wrong, or drawn by the contact.
         valleys = contacts_from_mask(valley, turned, mm_per_px=1.0)[0]
         depths = [one.deepest_mm or 0.0 for one in valleys if not (touched and one.cut_by_border)]
