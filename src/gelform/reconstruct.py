@@ -206,9 +206,16 @@ class FrameRecord:
     @once
     def contact(self) -> Mask:
         """Where something touches (H, W)."""
-        errors, touch = self.depth_errors, self._touch(DepthErrors.contact_sigma)
-        own = None if errors is None else self._widened(errors.own_sigma(self.fixed.limit.ignorance_mm))
-        return self.today.contact(*touch, own_sigma=own)
+        errors, most = self.depth_errors, self.fixed.limit.ignorance_mm
+        if errors is None:
+            return self.today.contact(*self.touch)
+        of_frame = (self._widened(one(most)) for one in (errors.own_sigma, errors.deepest_sigma))
+        return self.today.contact(*self.touch, *of_frame)
+
+    @once
+    def touch(self) -> tuple[Map, Any, SlopeDeviations | None, Mask]:
+        """What contacts are judged by: `_touch` by `contact_sigma`."""
+        return self._touch(DepthErrors.contact_sigma)
 
     def _touch(
         self, sigma_of: Callable[[DepthErrors, float], Map]
@@ -227,10 +234,13 @@ class FrameRecord:
         if self.depth_errors is not None:
             of_depth = (
                 *steep_finding(self.depth_mm, self.contact, self.budget.steep, self.depth_errors),
-                *self.today.contact.pressed_background(*self._touch(DepthErrors.slope_sigma)),
+                *self.today.contact.pressed_background(
+                    *self._touch(DepthErrors.slope_sigma), touched=bool(self.contact.any())
+                ),
             )
         touched = partial(self.today.untouched_image.touched, self.seen.image)
-        unknown = unknown_contact(self.contact, self.slopes.at_rest, self.known, touched)
+        maps = self.contact, self.depth_mm, self.touch[1], self.slopes.at_rest, self.known
+        unknown = unknown_contact(*maps, touched, self.seen.hidden, self.fixed.pitch)
         return *self.findings, *of_depth, *unknown
 
     @property

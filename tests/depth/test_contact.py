@@ -67,6 +67,17 @@ def test_a_contact_stands_and_gel_that_it_draws_down_does_not():
     assert standing(regions_of(speck, alone, 0.0005, 0.12 * speck, 0.015)) == [False, True]
 
 
+def test_the_deepest_region_stands_by_a_deviation_of_its_own():
+    """A valley may be its reaction, which makes other regions doubtful, but not itself."""
+    deep, less = distance(50, 60) < 1.0, distance(104, 60) < 0.6
+    whole = 0.8 * deep + 0.5 * less
+    number, labels, depth, sigma, *maps = regions_of(deep | less, depth_of(whole), 0.08, whole)
+    assert judge()(number, labels, depth, sigma, *maps)[0].tolist() == [False, False, False]
+    own = judge()(number, labels, depth, sigma, *maps, sigma / 10)[0]
+    assert own[labels[60, 50]]
+    assert not own[labels[60, 104]]
+
+
 @pytest.mark.parametrize(
     ("sigma", "area", "stands"), [(0.01, 0.05, True), (0.5, 0.05, False), (0.01, 9.0, False)]
 )

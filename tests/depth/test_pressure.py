@@ -180,11 +180,13 @@ def test_a_contact_of_the_background_is_told_by_its_valley(dots):
     known = np.hypot((x - 7) % 16 - 7.5, (y - 5) % 16 - 7.5) > 4 if dots else np.ones(depth.shape, bool)
     sensor = PreparedContact((PITCH, PITCH), 0.6, np.full(depth.shape, 0.02**2, np.float32), CORRELATION)
 
-    def findings(depth, sigma_mm):
+    def findings(depth, sigma_mm, touched=False):
         sigma = np.where(known, 0.02, 10.0).astype(np.float32)
         slopes = SlopeDeviations(sigma, sigma, depth == 0)
         depth_sigma = np.full(depth.shape, sigma_mm, np.float32)
-        return sensor.pressed_background(depth.astype(np.float32), depth_sigma, slopes, known)
+        return sensor.pressed_background(
+            depth.astype(np.float32), depth_sigma, slopes, known, touched=touched
+        )
 
     (found,) = findings(-depth, 0.01)
     assert found.name == "background_pressed"
@@ -193,6 +195,10 @@ def test_a_contact_of_the_background_is_told_by_its_valley(dots):
     assert not findings(-depth, 0.07)  # 4.3 sigma
     deeper, *_ = cap(center=(40, 40), depth_mm=0.4)
     assert not findings(deeper - depth, 0.01)
+    at_border, *_ = cap(center=(0, depth.shape[0] // 2), depth_mm=0.3)
+    assert findings(-at_border, 0.01)
+    assert not findings(-at_border, 0.01, touched=True), "a border that sinks while something touches"
+    assert findings(-depth, 0.01, touched=True)
     assert not findings(-0.05 - slopes_noise(depth.shape, 0.02), 0.02)
 
 

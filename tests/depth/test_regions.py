@@ -2,6 +2,7 @@
 inside, of images that are written out.
 """
 
+import cv2
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -73,6 +74,28 @@ def test_one_pixel_is_a_contact_of_a_pixel_s_size_and_none_is_no_contact():
     assert (found.deepest_mm, found.volume_mm3) == pytest.approx((-0.2, -0.002))
 
 
+def test_the_deepest_pixel_is_a_known_one():
+    """Unknown pixels that are deeper, or next to it, say so; those that are neither do not."""
+    mask, known = np.zeros((12, 20), bool), np.ones((12, 20), bool)
+    mask[3:9, 2:8] = mask[3:9, 11:17] = True
+    depth = 0.1 * mask
+    depth[5, 4], depth[5, 6], depth[5, 13] = 0.5, 0.3, 0.4
+    known[5, 4] = False
+
+    def found():
+        contacts, _ = contacts_from_mask(mask, depth, mm_per_px=0.1, known=known)
+        return [(one.deepest_mm, one.deepest_px, one.at_least) for one in contacts]
+
+    assert found() == [(pytest.approx(0.3), (6, 5), True), (pytest.approx(0.4), (13, 5), False)]
+    depth[5, 4] = 0.2
+    assert found()[0] == (pytest.approx(0.3), (6, 5), False)
+    known[4, 7] = False
+    assert found()[0] == (pytest.approx(0.3), (6, 5), True)
+    known[mask] = False
+    assert found()[0] == (pytest.approx(0.3), (6, 5), True)
+    assert "at least 0.300 mm deep" in repr(contacts_from_mask(mask, depth, mm_per_px=0.1, known=known)[0][0])
+
+
 @pytest.mark.parametrize(
     ("wrong", "error", "text"),
     [
@@ -90,14 +113,44 @@ def test_wrong_input(wrong, error, text):
 
 def test_a_gel_that_changed_without_a_contact_is_said():
     rest, known, none = np.ones((40, 50), bool), np.ones((40, 50), bool), np.zeros((40, 50), bool)
-    assert unknown_contact(none, rest, known, lambda: True) == ()
+
+    def found(contact, is_touched=True):
+        return unknown_contact(
+            contact, 0.01 * ~rest, np.full(rest.shape, 0.01), rest, known, lambda: is_touched
+        )
+
+    assert found(none) == ()
     rest[10:30, 10:30] = False
-    (found,) = unknown_contact(none, rest, known, lambda: True)
-    assert (found.name, found.figure) == ("contact_unknown", pytest.approx(0.2))
-    assert unknown_contact(~rest, rest, known, lambda: True) == ()
-    assert unknown_contact(none, rest, known, lambda: False) == (), "here and there, as by compression"
-    known[5:35, 5:35] = False  # dots, or another fault
-    assert unknown_contact(none, rest, known, lambda: True) == ()
+    (one,) = found(none)
+    assert (one.name, one.figure) == ("contact_unknown", pytest.approx(0.2))
+    assert found(~rest) == ()
+    assert found(none, False) == (), "here and there, as by compression"
+    known[5:35, 5:35] = False  # another fault, without a depth that is sure
+    assert found(none) == ()
+
+
+def test_a_touched_region_that_is_unknown_in_part_is_said():
+    """An imprint of which most is unknown beside one that is known, dust in it, and dots that hide it."""
+    contact, known = np.zeros((2, 60, 90), bool)
+    contact[10:30, 10:30] = contact[40:50, 50:60] = True
+    rest = ~cv2.dilate(contact.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
+    depth, known[:], hidden = 0.3 * ~rest, True, np.zeros((60, 90), bool)
+
+    def found(**other):
+        given = {"contact": contact, "depth": depth, "sigma": np.full(rest.shape, 0.01), "hidden": hidden}
+        given |= {"at_rest": rest, "known": known, "is_touched": lambda: True, "pitch": 0.1}
+        return [(one.name, round(one.figure, 2)) for one in unknown_contact(**given | other)]
+
+    assert found() == []
+    known[12:14, 12:14] = known[7, 7] = False
+    assert found() == [], "dust"
+    known[10:30, 16:30] = contact[10:30, 16:30] = False
+    assert found() == [("contact_unknown", 0.71)]
+    assert found(hidden=~known) == [], "dots"
+    contact[10:30, 10:16] = False
+    assert found() == [("contact_unknown", 1.0)], "all of it, while another stands"
+    assert found(depth=0.15 * depth) == [], "no depth that is sure"
+    assert found(pitch=0.01) == [], "a speck"
 
 
 def test_moments_agree_with_numpy():

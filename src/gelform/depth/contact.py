@@ -42,13 +42,14 @@ class Contact:
     label : value in the label map, from 1
     area_px : number of pixels
     centroid_px : (x, y), mean position of its pixels
-    deepest_px : (x, y) of its deepest pixel
+    deepest_px : (x, y) of its deepest known pixel
     angle_deg : direction of the major axis, from x (right) toward y (down), -90 to 90
     cut_by_border : whether it reaches the image's border; if so, its measures are those of the visible part
     area_mm2 : area, mm^2
     volume_mm3 : integral of the depth, mm^3
-    deepest_mm : depth of its deepest pixel, mm
+    deepest_mm : depth of its deepest known pixel, mm
     axes_mm : full lengths of the major and minor axis of the ellipse with its second moments, mm
+    at_least : whether unknown pixels of it are deeper or next to its deepest pixel, so that it may be deeper
     """
 
     label: int
@@ -61,23 +62,43 @@ class Contact:
     volume_mm3: float | None = None
     deepest_mm: float | None = None
     axes_mm: tuple[float, float] | None = None
+    at_least: bool = False
 
     def __repr__(self) -> str:
         area = f"{self.area_px} px" if self.area_mm2 is None else f"{self.area_mm2:.3g} mm^2"
-        deepest = "" if self.deepest_mm is None else f", {self.deepest_mm:.3f} mm deep"
+        deepest = (
+            "" if self.deepest_mm is None else f", {at_least(self.at_least)}{self.deepest_mm:.3f} mm deep"
+        )
         x, y = self.centroid_px
         cut = ", cut by the border" if self.cut_by_border else ""
         return f"Contact({self.label}: {area}{deepest}, around ({x:.0f}, {y:.0f}) px{cut})"
 
 
+def at_least(unsure: bool) -> str:
+    """What stands before a largest depth next to which depth is unknown."""
+    return "at least " if unsure else ""
+
+
+def may_be_deeper(unknown: Mask, depth: Map, place: tuple[int, int]) -> bool:
+    """Whether unknown pixels (H, W) of a depth (H, W) are deeper than a known one at (x, y), or next to it."""
+    x, y = place
+    beside = unknown[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2].any()
+    return bool(beside) or bool(depth.max(where=unknown, initial=-np.inf) > depth[y, x])
+
+
 def contacts_from_mask(
-    contact: ArrayLike, depth: ArrayLike, *, mm_per_px: float | Sequence[float] | None
+    contact: ArrayLike,
+    depth: ArrayLike,
+    *,
+    mm_per_px: float | Sequence[float] | None,
+    known: ArrayLike | None = None,
 ) -> tuple[tuple[Contact, ...], NDArray[np.uint16]]:
     """The connected regions of a contact mask, the largest first, and the map of their labels.
 
     Pixels that touch at a corner are connected. Holes stay holes: a ring is one contact whose area and volume leave
-    out the region that it encloses. The depth (H, W) is positive where pressed, in mm if the scale is known. ValueError,
-    TypeError: wrong shapes, NaN, or a pitch that is not positive.
+    out the region that it encloses. The depth (H, W) is positive where pressed, in mm if the scale is known. The deepest
+    pixel is one of the `known` pixels (H, W), unless a contact has none; all are known by default. ValueError, TypeError:
+    wrong shapes, NaN, or a pitch that is not positive.
     """
     z = check_map(depth, "depth")
     mask = as_array(contact, "contact")
@@ -89,17 +110,44 @@ def contacts_from_mask(
     count, labels = labeled(mask)
     moments = np.empty((count, 14))
     _region_moments(labels, z, moments)
-    found = [_contact(k, row, pitch, mask.shape) for k, row in enumerate(moments, start=1)]
+    unsure = [False] * count
+    if known is not None and not (seen := as_array(known, "known")).all():
+        of_known = np.empty((count, 14))
+        _region_moments(labels * seen, z, of_known)
+        for k in np.flatnonzero(of_known[:, 0] < moments[:, 0]):  # regions with unknown pixels
+            if of_known[k, 0]:
+                moments[k, 7:10] = of_known[k, 7:10]
+            place = int(moments[k, 8]), int(moments[k, 9])
+            unsure[k] = may_be_deeper((labels == k + 1) & ~seen, z, place)
+    rows = zip(moments, unsure)
+    found = [_contact(k, row, pitch, mask.shape, deeper) for k, (row, deeper) in enumerate(rows, start=1)]
     return tuple(sorted(found, key=lambda one: (-one.area_px, one.label))), labels
 
 
+UNKNOWN_SHARE = 1 / 3  # of a touched region, from which it is named
+
+
 def unknown_contact(
-    contact: Mask, at_rest: Mask, known: Mask, is_touched: Callable[[], bool]
+    contact: Mask,
+    depth: Map,
+    sigma: Map | None,
+    at_rest: Mask,
+    known: Mask,
+    is_touched: Callable[[], bool],
+    hidden: Mask | None = None,
+    pitch: float = 1.0,
 ) -> tuple[Finding, ...]:
-    """One finding if no contact (H, W) was found, but many known pixels do not have the color of rest.
+    """One finding for each touched region of which much is unknown, or one if many known pixels changed without a contact.
+
+    A touched region is contact (H, W) with the unknown pixels that join it, or such pixels alone: their color is not that
+    of rest, and the depth (H, W) filled in there exceeds its deviation. Those that are small beside another touched region,
+    such as dust, and pixels that markers or lost parts hide (H, W) do not count.
 
     `is_touched` says whether the image has the structure of a touch: compressed video changes many colors a little.
     """
+    unknown = ~(known | at_rest) if hidden is None else ~(known | at_rest | hidden)
+    if unknown.any() and (found := _unknown_regions(contact, unknown, depth, sigma, MIN_AREA_MM2 / pitch**2)):
+        return found
     if contact.any():
         return ()
     touched = float(np.count_nonzero(known & ~at_rest)) / max(float(np.count_nonzero(known)), 1.0)
@@ -110,6 +158,29 @@ def unknown_contact(
         "because the slopes there are not."
     )
     return (Finding("contact_unknown", message, touched),)
+
+
+def _unknown_regions(
+    contact: Mask, unknown: Mask, depth: Map, sigma: Map | None, least_px: float
+) -> tuple[Finding, ...]:
+    """The findings of touched regions of which `UNKNOWN_SHARE` or more is unknown, the largest region first."""
+    _, labels, boxes, middles = cv2.connectedComponentsWithStats((contact | unknown).view(np.uint8))
+    deep = contact | (depth > 2**0.5 * NOISE_FACTOR * (0 if sigma is None else sigma))  # as regions stand
+    pixels, number = boxes[:, cv2.CC_STAT_AREA], len(boxes)
+    share, pressed = (np.bincount(labels[one], minlength=number) / pixels for one in (unknown, deep))
+    touched = np.where((pressed > 0) & (pixels >= least_px), pixels, 0)
+    touched[0] = 0  # around all of them
+    named = np.flatnonzero((share >= UNKNOWN_SHARE) & (touched > UNKNOWN_SHARE * touched.max()))
+    order = [int(k) for k in named[np.argsort(-pixels[named], kind="stable")]]
+    return tuple(
+        Finding(
+            "contact_unknown",
+            f"{100 * share[k]:.0f} % of what touches the gel around ({middles[k, 0]:.0f}, {middles[k, 1]:.0f}) px are "
+            "unknown, because the slopes there are. It may be deeper, and its area is not that of the contact.",
+            float(share[k]),
+        )
+        for k in order
+    )
 
 
 def labeled(mask: Mask) -> tuple[int, NDArray[np.uint16]]:
@@ -127,7 +198,9 @@ def runs_work(shape: tuple[int, ...]) -> int:
     return 5 * shape[0] * ((shape[1] + 1) // 2)
 
 
-def _contact(label: int, row: Numbers, pitch: tuple[float, float] | None, shape: tuple[int, ...]) -> Contact:
+def _contact(
+    label: int, row: Numbers, pitch: tuple[float, float] | None, shape: tuple[int, ...], deeper: bool
+) -> Contact:
     """A region of the moments that `region_moments` sums; without measures in mm if there is no pitch."""
     count, x, y, xx, xy, yy, volume, deepest, deepest_x, deepest_y, left, right, top, bottom = row.tolist()
     center, (x_mm, y_mm) = (x / count, y / count), pitch or (1.0, 1.0)
@@ -149,6 +222,7 @@ def _contact(label: int, row: Numbers, pitch: tuple[float, float] | None, shape:
         deepest_px=(int(deepest_x), int(deepest_y)),
         angle_deg=float(np.rad2deg(np.arctan2(2 * b, a - d)) / 2),
         cut_by_border=left == 0 or top == 0 or right == shape[1] - 1 or bottom == shape[0] - 1,
+        at_least=deeper,
         **(in_mm if pitch else {}),
     )
 
@@ -243,12 +317,13 @@ _standing_regions = Kernel(
 class Evidence:
     """Which regions stand, by their own uncertainty.
 
-    A region's deepest depth has to exceed `noise_factor` of its own standard deviations. So do the pressure of a pixel and
-    the depth of the region's own pressure: gel that another object draws down has depth without pressure of its own.
-    The depth that a pressure makes at the distance r is `K0(r/L) / (2 pi)`.
+    A region's depth has to exceed `noise_factor` of its standard deviations: its deepest depth, and the depth of the
+    region's own pressure, as gel that another object draws down has depth without pressure of its own. So does the pressure
+    of a pixel. The depth that a pressure makes at the distance r is `K0(r/L) / (2 pi)`.
 
     No contact makes a negative depth. What negative depths have more than their standard deviations say, as of dust or of
-    another light, is the frame's own noise, and counts as one more error of the depth that a region makes.
+    another light, is the frame's own noise, and counts as one more error of the depth that a region makes. Beside the
+    deepest region it may be its reaction, so that region may have a deviation without it.
     """
 
     pitch: tuple[float, float]  # (x, y), mm
@@ -266,6 +341,7 @@ class Evidence:
         evidence: Map,  # (H, W), square of the mean pressure around over its variance
         smooth: Map,  # (H, W), the depth smoothed
         bent: Map,  # (H, W), minus its Laplacian
+        deepest_sigma: Map | None = None,  # (H, W), mm, the deviation where the deepest region is
     ) -> tuple[Mask, NDArray[np.int32]]:
         """Whether each label (number + 1,) is a contact, and the (y, x) of its deepest pixel (number + 1, 2)."""
         factor, area = self.noise_factor, self.pitch[0] * self.pitch[1]
@@ -276,11 +352,12 @@ class Evidence:
         )  # fmt: skip
         _variance_below(depth, sigma, excess, step=max(1, depth.size // MEDIAN_SAMPLES))
         pixels, deepest_mm, x, y, deviation, square, own_mm = measures.T
-        deep = (pixels >= self.min_area_mm2 / area) & (deepest_mm > factor * deviation)
-        noise, sigmas = np.sqrt(deviation**2 + excess), np.sqrt(square)
-        own = np.minimum(own_mm, deepest_mm) / np.maximum(noise, 1e-9)
-        # A region's own depth and its pressure exceed two noise factors together, as the root of the sum of their squares.
-        stands = deep & (np.minimum(own, sigmas) > factor) & (np.hypot(own, sigmas) > 2 * factor)
+        if number and deepest_sigma is not None:
+            k = int(np.argmax(np.minimum(own_mm, deepest_mm)))
+            deviation[k] = deepest_sigma[int(y[k]), int(x[k])]
+        # A depth is over the gel around, which is off by as much, so the variance of the difference is twice its own.
+        own = np.minimum(own_mm, deepest_mm) / np.maximum(np.sqrt(2 * deviation**2 + excess), 1e-9)
+        stands = (pixels >= self.min_area_mm2 / area) & (np.minimum(own, np.sqrt(square)) > factor)
         deepest_yx = np.column_stack([y, x]).astype(np.int32)
         return np.append(False, stands), np.vstack([np.zeros((1, 2), np.int32), deepest_yx])
 
@@ -324,10 +401,10 @@ def contact_from_depth(
     mean around the pixel. So gel that an object draws down is no contact, and hollow contacts stay hollow. Narrow gaps
     and holes of any size where p is more than half of a plane face's, `z/L^2`, belong to the contact.
 
-    A connected region of such pixels stands if its deepest depth exceeds `noise_factor` of its own standard deviations, and
-    so do the evidence `p/sd(p)` of a pixel and the depth that the region's own pressure makes. A pressure makes the depth
-    `K0(r/L)/(2 pi)` at the distance r. Negative depths tell how much noisier a frame is than `depth_sigma_mm` says. Regions
-    on the slope of one hill are joined along the way up; they are one contact.
+    A connected region of such pixels stands if its depth over the gel around exceeds `noise_factor` of its own standard
+    deviations, and so do the evidence `p/sd(p)` of a pixel and the depth that the region's own pressure makes. A pressure
+    makes the depth `K0(r/L)/(2 pi)` at the distance r. Negative depths tell how much noisier a frame is than
+    `depth_sigma_mm` says. Regions on the slope of one hill are joined along the way up; they are one contact.
 
     Parameters
     ----------
@@ -402,6 +479,7 @@ class PreparedContact:
         slopes: SlopeDeviations | None = None,
         known: Mask | None = None,  # (H, W), pixels whose depth was not filled in
         own_sigma: Map | None = None,  # the one that the frame itself shows, by which outlines are drawn
+        deepest_sigma: Map | None = None,  # the one by which the deepest region stands
     ) -> Mask:
         """The contact mask (H, W) of a depth."""
         if sigma is None:  # the median of negative depths tells the noise, as of half a Gaussian
@@ -438,14 +516,23 @@ class PreparedContact:
             np.empty(runs_work(depth.shape), dtype=np.int32), stiffness=self._stiffness, share=0.5, reach=self._reach_px,
         )  # fmt: skip
         count, labels = labeled(contact)
-        stands, deepest = self._stands(count, labels, depth, sigma, evidence, smooth, bent)
+        maps = labels, depth, sigma, evidence, smooth, bent, deepest_sigma
+        stands, deepest = self._stands(count, *maps)
         _standing_regions(labels, stands, deepest, depth, contact, reach=NEIGHBORHOOD_PX)
         return contact
 
     def pressed_background(
-        self, depth: Map, sigma: Map | None, slopes: SlopeDeviations | None = None, known: Mask | None = None
+        self,
+        depth: Map,
+        sigma: Map | None,
+        slopes: SlopeDeviations | None = None,
+        known: Mask | None = None,
+        *,
+        touched: bool = False,
     ) -> tuple[Finding, ...]:
         """One finding if a valley is deeper than any hill and looks like a contact turned over; arguments of `__call__`.
+
+        `touched` is whether the frame has a contact.
 
         Such a valley is a contact of the background image. Beside a contact, the depth's errors are negative, too.
         """
@@ -454,11 +541,12 @@ class PreparedContact:
             return ()
         turned = -depth
         valley = self(turned, sigma, slopes, known)
-        if sigma is not None:
-            valley &= turned > 5 * sigma
-        if not valley.any():
+        # While something touches, a border that sinks is more likely read wrong, or drawn by the contact.
+        valleys = contacts_from_mask(valley, turned, mm_per_px=1.0)[0]
+        depths = [one.deepest_mm or 0.0 for one in valleys if not (touched and one.cut_by_border)]
+        if not depths:
             return ()
-        deepest = float(turned[valley].max())
+        deepest = max(depths)
         message = (
             f"Something touches the gel in the background image: here the gel rises up to {deepest:.2g} mm over it, with a "
             "contact's outline. Take the background again, with nothing touching the gel."

@@ -18,7 +18,7 @@ from gelform.arrays import Array, Floats, Map, Mask, Slopes
 from gelform.depth.coarse import Coarse, coarse_of
 from gelform.depth.solvers.dct import CosineFilter
 from gelform.errors import ConvergenceError, Finding
-from gelform.foundations.filters import bessel_k, medians_where
+from gelform.foundations.filters import SIGMA_OF_MEDIAN, bessel_k, medians_where
 
 # Parts of the image's height: the influence's length L, and the standard deviation of the window for negative depths. Depth
 # off contact is covered alike with half and twice of either, on twelve real sets.
@@ -88,10 +88,12 @@ class DepthSigma:
             )
         anywhere, of_contact, below, free = self._filter(cells[:4])
         own = below / np.maximum(free, np.float32(LEAST_FREE))
-        of_frame = float(cells[2].mean()) / max(float(cells[3].mean()), LEAST_FREE)
+        of_frame = cells[2].mean() / max(cells[3].mean(), np.float32(LEAST_FREE))
+        negative = cells[2][cells[2] > 0] / 2
+        usual = np.float32(SIGMA_OF_MEDIAN**2) * np.median(negative) if negative.size else np.float32(0)
         least = np.float32(1e-14)  # mm^2; the filter rounds
         anywhere, of_contact = (np.maximum(m * self._beside_border, least) for m in (anywhere, of_contact))
-        numbers = own, of_frame, cells[4:], self._mm_per_px, self.numbers["gain"]
+        numbers = own, of_frame, min(usual, of_frame), cells[4:], self._mm_per_px, self.numbers["gain"]
         return DepthErrors(self.coarse, anywhere, of_contact, *numbers)
 
 
@@ -103,7 +105,8 @@ class DepthErrors:
     spread: Map  # variance by the slopes, mm^2
     contact_spread: Map  # the same for the judgment of contacts
     own: Map  # twice the mean square of negative depths around, mm^2
-    own_of_frame: float  # the same in the whole frame
+    own_of_frame: np.float32  # the same in the whole frame
+    usual_of_frame: np.float32  # the same by the median of negative depths, which a valley does not move
     # (5, r, c), the slopes that may be common errors in all (p, q), of steep faces alone (p, q), and the share of
     # pixels at rest
     slopes_off: Slopes = field(repr=False)
@@ -124,22 +127,26 @@ class DepthErrors:
     @cached_property
     def local_variance(self) -> Map:
         """Variance at every pixel (H, W), without what is common."""
-        return self.coarse.at_pixels(self._with_own(self.spread))
+        return self.coarse.at_pixels(self._with(self.own, self.spread))
 
     def sigma(self, most_mm: float) -> Map:
         """Standard deviation (H, W) of the depth, mm, `most_mm` at most."""
-        return self._root(self._with_own(self.spread) + np.square(self.common_mm), most_mm)
+        return self._root(self._with(self.own, self.spread) + np.square(self.common_mm), most_mm)
 
     def contact_sigma(self, most_mm: float) -> Map:
         """The one that makes no contact less certain for what all depths have in common.
 
         A hill that another light makes may lie far from the valleys that it makes, so the whole frame's error counts.
         """
-        return self._root(self._with_own(self.contact_spread, self.own_of_frame), most_mm)
+        return self._root(self._with(np.maximum(self.own, self.own_of_frame), self.contact_spread), most_mm)
+
+    def deepest_sigma(self, most_mm: float) -> Map:
+        """The one of the deepest contact: valleys beside it, which may be its reaction, do not count."""
+        return self._root(self._with(self.usual_of_frame, self.contact_spread), most_mm)
 
     def own_sigma(self, most_mm: float) -> Map:
-        """The part of `contact_sigma` that the frame itself shows, in its negative depths."""
-        return self._root(self._with_own(np.zeros_like(self.spread), self.own_of_frame), most_mm)
+        """The part of `deepest_sigma` that the frame itself shows, in its negative depths, and those around each pixel."""
+        return self._root(self._with(np.maximum(self.own, self.usual_of_frame), np.float32(0)), most_mm)
 
     def slope_sigma(self, most_mm: float) -> Map:
         """The one by the slopes alone, as of a frame whose negative depths are no error."""
@@ -151,8 +158,7 @@ class DepthErrors:
         apart = np.abs(own - own[region].mean()) + np.square(common - common[region].mean())
         return np.asarray(np.sqrt(apart))
 
-    def _with_own(self, variance: Map, at_least: float = 0.0) -> Map:
-        own: Map = np.maximum(self.own, np.float32(at_least))
+    def _with(self, own: Map | np.float32, variance: Map | np.float32) -> Map:
         return np.asarray(variance + np.float32(PULL) * np.maximum(own - variance, 0), dtype=np.float32)
 
     def _root(self, variance: Map, most_mm: float) -> Map:

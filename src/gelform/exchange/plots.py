@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gelform.arrays import Array, Image, Map
+from gelform.depth.contact import at_least
 from gelform.errors import DataError, needed
 from gelform.foundations.checks import check_image, check_is, check_mm_per_px
 from gelform.foundations.files import picture_bytes, written_file
@@ -109,15 +109,9 @@ def _in_words(depth: float) -> str:
 
 
 def deepest_px(depth: Map) -> tuple[int, int]:
-    """Row and column of the deepest point, ignoring single noisy pixels and NaN (unknown).
-
-    If all are NaN, the first pixel.
-    """
-    unknown = np.isnan(depth)
-    smooth = cv2.GaussianBlur(np.where(unknown, 0, depth), (0, 0), 1)
-    smooth[unknown] = -np.inf
-    row, column = np.unravel_index(int(np.argmax(smooth)), smooth.shape)
-    return int(row), int(column)
+    """Row and column of the deepest pixel that is not NaN (unknown). If all are NaN, the first pixel."""
+    row, column = divmod(int(np.argmax(np.where(np.isnan(depth), -np.inf, depth))), depth.shape[1])
+    return row, column
 
 
 def picture(result: Reconstruction, image: ArrayLike | None = None) -> Image:
@@ -162,8 +156,9 @@ def picture(result: Reconstruction, image: ArrayLike | None = None) -> Image:
 def _headline_of_result(result: Reconstruction, row: int, column: int) -> str:
     depth, unit, (pitch_x, pitch_y) = _in_unit(result)
     area = np.count_nonzero(result.contact) * pitch_x * pitch_y
+    unsure = result.numbers is not None and result.numbers.at_least
     facts = [
-        f"deepest {_in_words(depth[row, column])} {unit}",
+        f"deepest {at_least(unsure)}{_in_words(depth[row, column])} {unit}",
         f"contact {area:.1f} {unit}²",
         f"{pitch_x:.4g} mm/px" if result.mm_per_px is not None else "scale unknown",
         f"zero: {result.zero}",

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.arrays import Array, Map, Mask, Slopes
-from gelform.depth.contact import Contact, contacts_from_mask
+from gelform.depth.contact import Contact, at_least, contacts_from_mask, may_be_deeper
 from gelform.depth.force import Force, ForceModel, force_from_result
 from gelform.errors import DataError, Finding, GelformError
 from gelform.foundations.checks import (
@@ -46,6 +46,7 @@ class Numbers:
     volume: float  # of the gel displaced in them
     contacts: int
     contact_px: int
+    at_least: bool = False  # whether unknown pixels are deeper than the deepest known one, or next to it
 
     @property
     def over_time(self) -> dict[str, float]:
@@ -188,7 +189,8 @@ class Reconstruction:
         if self.mm_per_px is not None:
             area = float(sum(one.area_mm2 or 0.0 for one in found))
             volume = float(sum(one.volume_mm3 or 0.0 for one in found))
-        return Numbers(float(depth[y, x]), float(depth[known].min()), x, y, area, volume, len(found), touched)
+        lowest, deeper = float(depth[known].min()), may_be_deeper(~known & self.contact, depth, (x, y))
+        return Numbers(float(depth[y, x]), lowest, x, y, area, volume, len(found), touched, deeper)
 
     @property
     def contact_labels(self) -> NDArray[np.uint16]:
@@ -197,7 +199,7 @@ class Reconstruction:
 
     @cached_property
     def _labeled(self) -> tuple[tuple[Contact, ...], NDArray[np.uint16]]:
-        return contacts_from_mask(self.contact, self.depth, mm_per_px=self.mm_per_px)
+        return contacts_from_mask(self.contact, self.depth, mm_per_px=self.mm_per_px, known=self.known)
 
     @cached_property
     def force(self) -> Force:
@@ -298,7 +300,7 @@ class Reconstruction:
             size, unit, digits = f"{height * y:.1f}x{width * x:.1f} mm", "mm", 3
         depth = contacts = "unknown"
         if (found := self.numbers) is not None:
-            depth = f"{found.lowest:.{digits}f} to {found.peak:.{digits}f} {unit}"
+            depth = f"{found.lowest:.{digits}f} to {at_least(found.at_least)}{found.peak:.{digits}f} {unit}"
             area = f"{found.contact_px} px" if unit == "px" else f"{round(found.area, 1)} mm^2"
             together = " together" if found.contacts > 1 else ""
             contacts = f"{found.contacts} of {area}{together}" if found.contacts else "none"

@@ -119,13 +119,13 @@ def test_a_result_and_its_image(run_json, works, calibration_file, press_folder,
 def test_what_is_unknown_is_said():
     facts = {
         "kind": "result", "size_px": [2, 4], "mm_per_px": None, "mm_per_px_sigma": None, "depth_px": [0.0, 2.5],
-        "contact_px": 3, "known_px": 4, "zero": "mean", "solver": "dct", "curl_rms": 0.01,
+        "at_least": True, "contact_px": 3, "known_px": 4, "zero": "mean", "solver": "dct", "curl_rms": 0.01,
         "findings": ["It is dark."], "calibration": "0",
         "contacts": [{"area_px": 3, "area_mm2": None, "deepest_px": (1, 0), "cut_by_border": True}],
         "markers": {"in_words": "2 of 3 seen"},
     }  # fmt: skip
     said = lines_of(facts)
-    assert ("depth", "0.000 to 2.500 px, 0 at rest, zero by: mean") in said
+    assert ("depth", "0.000 to at least 2.500 px, 0 at rest, zero by: mean") in said
     assert ("warning", "It is dark.") in said
     assert ("markers", "2 of 3 seen") in said
     assert ("known", "50 % of the pixels; the others are filled") in said

@@ -234,6 +234,7 @@ def _result(path: Path) -> dict[str, Any]:
         "mm_per_px": found.mm_per_px,
         "mm_per_px_sigma": found.mm_per_px_sigma,
         unit: numbers and [round(numbers.lowest, 4), round(numbers.peak, 4)],
+        "at_least": numbers is not None and numbers.at_least,
         "contact_px": int(found.contact.sum()),
         "contacts": [asdict(contact) for contact in found.contacts],
         "roughness": _roughness(found),
@@ -401,7 +402,8 @@ def _made_from(facts: Facts) -> Lines:
 def _result_lines(facts: Facts) -> Lines:
     unit = "mm" if "depth_mm" in facts else "px"
     depth, roughness, markers = facts[f"depth_{unit}"], facts.get("roughness"), facts["markers"]
-    low_to_high = "unknown" if depth is None else f"{depth[0]:.3f} to {depth[1]:.3f} {unit}"
+    deepest = "at least " if facts["at_least"] else ""
+    low_to_high = "unknown" if depth is None else f"{depth[0]:.3f} to {deepest}{depth[1]:.3f} {unit}"
     pixels = facts["size_px"][0] * facts["size_px"][1]
     largest = facts["contacts"][:8]  # --json gives all
     return [
@@ -424,9 +426,10 @@ def _contact(contact: Facts) -> str:
     if contact["area_mm2"] is None:
         return f"{contact['area_px']} px, deepest at ({x}, {y}){cut}"
     major, minor = contact["axes_mm"]
+    deepest = "at least " if contact["at_least"] else ""
     return (
         f"{contact['area_mm2']:.2f} mm², {contact['volume_mm3']:.3g} mm³, axes {major:.2f} x {minor:.2f} mm, "
-        f"{contact['deepest_mm']:.3f} mm deep at ({x}, {y}){cut}"
+        f"{deepest}{contact['deepest_mm']:.3f} mm deep at ({x}, {y}){cut}"
     )
 
 

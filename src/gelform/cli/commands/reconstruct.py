@@ -188,6 +188,7 @@ def _row(result: gelform.Reconstruction, path: Path, results: dict[str, Path]) -
         "image": str(path),
         "outputs": [str(one) for one in results.values()],
         **lengths,
+        "at_least": found is not None and found.at_least,
         "contact_px": pixels,
         "contacts": [asdict(contact) for contact in result.contacts],
         "markers": None if result.markers is None else result.markers.facts(),
@@ -204,7 +205,10 @@ def _report(rows: Sequence[dict[str, Any]], shown: ShownOption) -> None:
     scaled = all("peak_mm" in row for row in rows)
     lengths = {"peak_mm": "peak (mm)", "contact_mm2": "contact (mm²)"}
     columns = lengths if scaled else {"peak_px": "peak (px)", "contact_px": "contact (px)"}
+    peak = next(iter(columns))
     table = [{"file": row["outputs"][0], **row} for row in rows]
+    for row in table:
+        row[peak] = f"at least {figure(row[peak])}" if row["at_least"] else row[peak]
     shown.table("Results", {"file": "file", **columns, "curl_rms": "curl (1/px)"}, table)
     if not scaled:
         say("The scale of this calibration is unknown, so results hold depth_px, not depth_mm.", shown.silent)
