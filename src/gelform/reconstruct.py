@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from gelform.arrays import Array, Floats, Map, Mask, Slopes
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.depth.coarse import CoarseDepth
-from gelform.depth.contact import PreparedContact, SlopeDeviations, Surround, unknown_contact
+from gelform.depth.contact import PreparedContact, SlopeDeviations, Surround, off_rest, unknown_contact
 from gelform.depth.integrate import FrameDepth, Integration, checked_solver
 from gelform.depth.sigma import DepthErrors, DepthSigma, steep_finding
 from gelform.errors import Finding
@@ -237,6 +237,8 @@ class FrameRecord:
                     *self._touch(DepthErrors.slope_sigma), touched=bool(self.contact.any())
                 ),
             )
+            if not any(one.name == "background_pressed" for one in of_depth):
+                of_depth += off_rest(self.depth_mm, self.depth_sigma_mm, self.contact, self.known)
         touched = partial(self.today.untouched_image.touched, self.seen.image)
         maps = self.contact, self.depth_mm, self.touch[1], self.slopes.at_rest, self.known
         unknown = unknown_contact(*maps, touched, self.seen.hidden, self.fixed.pitch)

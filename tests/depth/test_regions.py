@@ -8,7 +8,7 @@ import pytest
 from scipy import ndimage
 
 from gelform.depth import contact as regions_module
-from gelform.depth.contact import Surround, contacts_from_mask, unknown_contact
+from gelform.depth.contact import Surround, contacts_from_mask, off_rest, unknown_contact
 from kernel_agreement import assert_kernel_agrees
 
 UNEVEN_PITCH = (0.05, 0.08)
@@ -149,6 +149,32 @@ def test_a_touched_region_that_is_unknown_in_part_is_said():
     assert found() == [("contact_unknown", 1.0)], "all of it, while another stands"
     assert found(depth=0.15 * depth) == [], "no depth that is sure"
     assert found(pitch=0.01) == [], "a speck"
+
+
+def test_depth_that_no_contact_makes_is_said():
+    """A valley deeper than any contact, and a hill that none was found in; neither up to what rest is known to."""
+    contact, known = np.zeros((40, 50), bool), np.ones((40, 50), bool)
+    depth, sigma = np.zeros((40, 50), np.float32), np.full((40, 50), 0.03, np.float32)
+
+    def found():
+        return [(round(one.figure, 2), one.message) for one in off_rest(depth, sigma, contact, known)]
+
+    depth[3, 4] = 0.05
+    assert found() == []
+    depth[3, 4] = 0.2
+    ((figure, message),) = found()
+    assert figure == 0.2
+    assert "pressed in by 0.20 +- 0.03 mm at (4, 3) px" in message
+    contact[3, 4] = True
+    assert found() == []
+    depth[30, 2] = -0.15
+    assert found() == []
+    depth[30, 2] = -0.25
+    ((figure, message),) = found()
+    assert figure == 0.25
+    assert "rise by 0.25 +- 0.03 mm at (2, 30) px" in message
+    known[30, 2] = False
+    assert found() == []
 
 
 def test_moments_agree_with_numpy():

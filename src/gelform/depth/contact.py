@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform._native import Kernel
 from gelform.arrays import Floats, Map, Mask, Numbers
+from gelform.depth.coarse import REST_SIGMA_MM
 from gelform.errors import Finding
 from gelform.foundations.checks import (
     as_array,
@@ -123,6 +124,26 @@ def contacts_from_mask(
     rows = zip(moments, unsure)
     found = [_contact(k, row, pitch, mask.shape, deeper) for k, (row, deeper) in enumerate(rows, start=1)]
     return tuple(sorted(found, key=lambda one: (-one.area_px, one.label))), labels
+
+
+def off_rest(depth: Map, sigma: Map | None, contact: Mask, known: Mask) -> tuple[Finding, ...]:
+    """One finding if depth (H, W) is off 0 where no contact (H, W) makes it so: a valley deeper than any contact, or a hill.
+
+    Up to what gel that looks at rest is known to, `REST_SIGMA_MM`, nothing is said. `sigma` (H, W) is the depth's.
+    """
+    low, high = value_range(depth * known)
+    hill = 0.0 if contact.any() else high
+    off_mm = max(hill, -low if -low > high else 0.0)
+    if off_mm <= REST_SIGMA_MM:
+        return ()
+    y, x = divmod(int(np.argmax(np.where(known, depth if off_mm == hill else -depth, 0))), depth.shape[1])
+    what = "no contact is sure, yet the gel seems pressed in" if off_mm == hill else "the gel seems to rise"
+    sure = "" if sigma is None else f" +- {sigma[y, x]:.2f}"
+    message = (
+        f"Depth is off: {what} by {off_mm:.2f}{sure} mm at ({x}, {y}) px. It is noise where light is weak, a border that is "
+        "read wrong, or a touch too faint to tell."
+    )
+    return (Finding("off_rest", message, off_mm),)
 
 
 UNKNOWN_SHARE = 1 / 3  # of a touched region, from which it is named
