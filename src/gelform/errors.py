@@ -81,7 +81,6 @@ DOUBTFUL = frozenset(
         "background_ratio",
         "beyond_gel",
         "camera_moved",
-        "contact_unknown",
         "frozen",
         "not_this_gel",
         "other_camera",

@@ -139,8 +139,8 @@ def off_rest(depth: Map, sigma: Map | None, contact: Mask, known: Mask) -> tuple
     what = "no contact is sure, yet the gel seems pressed in" if off_mm == hill else "the gel seems to rise"
     sure = "" if sigma is None else f" +- {sigma[y, x]:.2f}"
     message = (
-        f"Depth is off there: {what} by {off_mm:.2f}{sure} mm at ({x}, {y}) px. It is noise where light is weak, a border "
-        "that is read wrong, or a touch too faint to tell."
+        f"Depth is off: {what} by {off_mm:.2f}{sure} mm at ({x}, {y}) px. It is noise where light is weak, a border that is "
+        "read wrong, or a touch too faint to tell."
     )
     return (Finding("off_rest", message, off_mm),)
 
