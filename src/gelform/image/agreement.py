@@ -153,7 +153,7 @@ class Touch(NamedTuple):
         message = (
             f"Something seems to touch the gel in the background image, about ({self.x_px}, {self.y_px}) px: there it has "
             f"{self.ratio:.1f} times as much structure as elsewhere, compared with {what}. Depth is relative to it. Take it "
-            "again, with nothing touching the gel. A gel that is damaged, dirty or marked there looks the same."
+            "again, with nothing touching the gel. A gel that is scratched, dirty or marked there looks the same."
         )
         return Finding("background_touched", message, self.ratio)
 
@@ -177,8 +177,10 @@ def touch_in(image: Array, untouched: Array | None = None) -> Touch | None:
         energy, least = structure(_log(image)), TOUCHED_RATIO
     else:
         energy, least = structure(_log(image) - _log(untouched)), TOUCHED_RATIO_OF_CHANGE
-    top, left = (n // 8 for n in energy.shape)  # nearer to the border the blurs see its mirror image
-    inner = energy[top:-top, left:-left]
+    (height, width), (top, left) = energy.shape, (n // 8 for n in energy.shape)
+    inner = energy[
+        top : height - top, left : width - left
+    ]  # nearer to the border the blurs see its mirror image
     y, x = np.unravel_index(int(inner.argmax()), inner.shape)
     most = float(inner[y, x])
     found = Touch(int(x) + left, int(y) + top, most, most / max(float(np.median(inner)), 1e-9))

@@ -220,6 +220,9 @@ class Bands:
     def __init__(self, rest: ImageBlocks, pixels: Image, is_turned: bool) -> None:
         self._is_turned = is_turned  # whether the camera's rows are columns of the image
         self._rest = self._rows(rest, pixels)
+        self._can_tell = self._rest.shape[1] >= 3  # strips
+        if not self._can_tell:
+            return
         self._gray = _gray_of_thirds(self._rest)
         self._smooth = np.linalg.qr(np.vander(np.linspace(-1, 1, len(self._rest)), 4, increasing=True))[
             0
@@ -227,7 +230,7 @@ class Bands:
 
     def __call__(self, blocks: ImageBlocks, image: Array) -> tuple[Array, tuple[Finding, ...]]:
         """The image (H, W, 3) without bands, and the finding `bands`: amplitude, gray levels."""
-        if self._rest.shape[1] < 3:
+        if not self._can_tell:
             return image, ()
         rows, rest = self._rows(blocks, image), self._rest
         gray = _gray_of_thirds(rows)

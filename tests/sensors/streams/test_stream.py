@@ -350,8 +350,8 @@ def test_a_live_source_is_opened_once_and_a_shared_one_goes_on(at_rest):
 
 
 def test_what_is_no_source():
-    with pytest.raises(TypeError, match=r"Expected a source.*int"):
-        feed_from_source(7)
+    with pytest.raises(TypeError, match=r"Expected a source.*float"):
+        feed_from_source(7.0)
     with pytest.raises(DataError, match="nowhere"):
         feed_from_source("nowhere.mp4")
 
