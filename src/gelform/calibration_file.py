@@ -59,8 +59,9 @@ class CalibrationSettings(Mapping[str, Any]):
     place_error: float | None = None  # of a ball's center over its displacement, for motions' covariance
     image_noise: Sequence[float] | None = None  # (3,) deviation of a pixel of an image, gray levels
     # Only if other units of the make were calibrated and this one was not: the make (`sensor`), the relative standard
-    # deviation of slopes between units (`spread`), the `units`, and the `findings` about this unit's background.
+    # deviation of slopes between units (`spread`), and the `units`.
     starter: Mapping[str, Any] | None = None
+    findings: Sequence[Sequence[Any]] = ()  # about the background: name, message and figure of each
     # Settings of the color model, options of an importer, and values that other releases wrote.
     others: Mapping[str, Any] = field(default_factory=dict)
 
@@ -188,15 +189,16 @@ class Calibration:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Findings that belong to every result: that the calibration is a starter, and the differences of its background."""
-        starter = self.settings.starter
-        if starter is None:
-            return ()
+        """Findings that belong to every result: that the calibration is a starter, and doubts about its background."""
+        found = tuple(
+            Finding(str(name), str(said), float(figure)) for name, said, figure in self.settings.findings
+        )
+        if self.settings.starter is None:
+            return found
         message = (
             f"This is a starter, made on other units of a {self.sensor_name}. Slopes and depth may be off by "
             f"{100 * self.unit_spread:.0f} % (one standard deviation). Calibrate with five presses of a ball or more."
         )
-        found = [Finding(str(name), str(said), float(figure)) for name, said, figure in starter["findings"]]
         return (Finding("starter", message, self.unit_spread), *found)
 
     @property

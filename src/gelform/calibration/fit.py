@@ -17,7 +17,14 @@ from gelform.calibration.circles.find import ColorChanges, ContactCircle, find_c
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.coverage import SAMPLED
 from gelform.calibration.held_out import errors_of, measure_held_out
-from gelform.calibration.inputs import ball_readings, check_inputs, check_places, first_notes, input_notes
+from gelform.calibration.inputs import (
+    background_findings,
+    ball_readings,
+    check_inputs,
+    check_places,
+    first_notes,
+    input_notes,
+)
 from gelform.calibration.presses.folder import Presses, as_presses, with_view
 from gelform.calibration.presses.press_set import Press
 from gelform.calibration.report.content import errors_where
@@ -36,7 +43,6 @@ def calibrate(
     color_model: str = "auto",
     start: Calibration | str | PathLike[str] | None = AUTO,
     compare: bool = False,
-    accept_background: bool = False,
     progress: Progress = no_progress,
 ) -> Calibration:
     """Calibrate a sensor from presses of a ball.
@@ -53,7 +59,6 @@ def calibrate(
         Its model is kept where these presses give no other information, so five presses suffice. "auto" also tries the
         starter of a known make, and keeps it if held-out presses are not read worse; None tries none.
     compare : whether every color model is tried on the same folds, for the report's table; the selection stays the same
-    accept_background : whether a background in which something seems to touch the gel is used as it is; a note says so then
     progress : called with (done, total, what)
 
     Returns
@@ -64,14 +69,15 @@ def calibrate(
     Raises
     ------
     CalibrationError
-        Too few presses fit, and the message has the reason for each rejected one; something touches the background.
+        Too few presses fit, and the message has the reason for each rejected one.
     ValueError, TypeError
         An unknown color model, a start that cannot be one, or no presses.
     """
     began = time.monotonic()
     presses = as_presses(presses, progress=progress)
     candidates_for(color_model, len(presses.presses))  # an unknown name fails before any work
-    accepted = check_inputs(presses, accept_background)
+    check_inputs(presses)
+    doubts = background_findings(presses)
     untried: tuple[str, ...] = ()
     if start is None:
         first_unit, (known, _) = None, starter_start(presses, color_model)
@@ -83,7 +89,8 @@ def calibrate(
 
     located = locate(presses, first_unit, progress=progress)
     balls = ball_readings(located, known)
-    located = replace(located, notes=(*accepted, *first_notes(presses, balls), *untried, *located.notes))
+    said = (*(one.message for one in doubts), *first_notes(presses, balls), *untried)
+    located = replace(located, notes=(*said, *located.notes))
     check_places(located)
     folds = make_folds(located, progress=progress)
     fitted = fit(located, folds, color_model, compare=compare, progress=progress)
@@ -96,7 +103,11 @@ def calibrate(
     report = report_of_run(fitted, judged, balls, notes=notes, seconds=time.monotonic() - began)
     return replace(
         made,
-        settings=replace(made.settings, place_error=place_error),
+        settings=replace(
+            made.settings,
+            place_error=place_error,
+            findings=[[one.name, one.message, one.figure] for one in doubts],
+        ),
         held_out=report.held_out,
         report=report,
     )

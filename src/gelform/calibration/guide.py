@@ -260,8 +260,7 @@ def calibrate_guided(
     The new folder is below `folder`, and is named by the time. GelformError: the presses do not fit, or the folder cannot be
     written.
     """
-    # The page has shown what seemed to touch the gel; the report notes it again.
-    calibration = calibrate(presses, accept_background=True, progress=progress)
+    calibration = calibrate(presses, progress=progress)
     folder = folder / named_by_time("calibration")
     content = report_content(presses, calibration, rng=np.random.default_rng(0))
     save_press_folder(

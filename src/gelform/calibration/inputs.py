@@ -33,8 +33,8 @@ from gelform.calibration.circles.locate import Located, light_notes
 from gelform.calibration.coverage import NEEDED, SAMPLED, coverage_notes
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.start import Start
-from gelform.errors import CalibrationError
-from gelform.image.agreement import Touch, check_background_of_frames, orientation_if_doubtful, touch_in_first
+from gelform.errors import CalibrationError, Finding
+from gelform.image.agreement import check_background_of_frames, orientation_if_doubtful, touch_in_first
 from gelform.image.background import surround_finding
 from gelform.sensors.profiles import PROFILES, SAME_SCALE, check_gel_width, light_order_of, scale_off_make
 from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
@@ -178,11 +178,10 @@ ELLIPTIC, ELLIPTIC_SIGMAS = 0.15, 3.0
 MAX_RESPONSE = 3.0
 
 
-def check_inputs(presses: Presses, accept_background: bool = False) -> tuple[str, ...]:
-    """Refuse a set without presses, with gray, turned, mirrored or BGR images, or with a touch in the background.
+def check_inputs(presses: Presses) -> None:
+    """Refuse a set without presses, or with gray, turned, mirrored or BGR images.
 
-    A touch is noted instead, if the background is accepted as it is. The CalibrationError names the images or the place,
-    and the remedy.
+    The CalibrationError names the images and the remedy.
     """
     if not presses.presses:
         count = len(presses.flats)
@@ -205,15 +204,6 @@ def check_inputs(presses: Presses, accept_background: bool = False) -> tuple[str
             "everywhere. gelform reads slopes from light of three colors from three sides. Use a color camera's images."
         )
     _check_orientation(presses)
-    touch = touch_in_background(presses)
-    if touch is not None and not accept_background:
-        raise CalibrationError(
-            f"Something touches the gel in the background of {presses.folder}, about ({touch.x_px}, {touch.y_px}) px. There "
-            f"it differs from most presses, {touch.ratio:.1f} times as much as elsewhere. Take the background image again, "
-            "with nothing touching the gel, or name another one with background= (--background). If nothing touches, "
-            "accept it with accept_background=True (--accept-background)."
-        )
-    return () if touch is None else (f"Accepted as asked. {touch.finding('most presses').message}",)
 
 
 def _check_orientation(presses: Presses) -> None:
@@ -235,17 +225,18 @@ def _check_orientation(presses: Presses) -> None:
         )
 
 
-def touch_in_background(presses: Presses) -> Touch | None:
-    """What seems to touch the gel in the background, or None; five presses or more are needed to find it.
+def background_findings(presses: Presses) -> tuple[Finding, ...]:
+    """The finding that something seems to touch the gel in the background; five presses or more are needed to find it.
 
     Each place is at rest in most presses, so their median shows the gel at rest. Of presses at one place, the median is
     itself touched, and has the structure.
     """
     count = len(presses.presses)
     if not NEEDED.median.met(count):
-        return None
+        return ()
     untouched = np.median(np.stack([presses.presses[k].image for k in _some(count)]), axis=0)
-    return touch_in_first(presses.background, untouched)
+    touch = touch_in_first(presses.background, untouched)
+    return () if touch is None else (touch.finding("most presses"),)
 
 
 def _some(count: int) -> NDArray[np.intp]:

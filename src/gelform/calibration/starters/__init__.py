@@ -244,7 +244,6 @@ class Starter:
             "sensor": self.sensor,
             "spread": self.spread,
             "units": list(self.units),
-            "findings": [[one.name, one.message, one.figure] for one in findings],
         }
         return replace(
             made,
@@ -260,7 +259,11 @@ class Starter:
             forward=forward,
             slope_sigma=replace(sigma, gain_sigma=float(np.hypot(sigma.gain_sigma, self.spread))),
             held_out={},
-            settings=replace(made.settings, starter=record),
+            settings=replace(
+                made.settings,
+                starter=record,
+                findings=[[one.name, one.message, one.figure] for one in findings],
+            ),
         )
 
     def for_frame(self, background: ArrayLike, **known: Any) -> Calibration:

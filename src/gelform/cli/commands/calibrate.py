@@ -50,10 +50,6 @@ def calibrate(
     compare: Annotated[
         bool, Option("--compare", help="Also try every color model on these presses, for the report's table.")
     ] = False,
-    accept_background: Annotated[
-        bool,
-        Option("--accept-background", help="Use a background in which something seems to touch the gel."),
-    ] = False,
     verbose: Annotated[
         bool, Option("--verbose", "-v", help="Also show rejected presses, models, held-out errors and notes.")
     ] = False,
@@ -92,9 +88,8 @@ def calibrate(
         found = gelform.read_presses(presses, **vars(given), crop=box, progress=progress)  # type: ignore[arg-type]
         given_start = None if start == "none" else start
         calibration = gelform.calibrate(
-            found, color_model=model, start=given_start, compare=compare, accept_background=accept_background,
-            progress=progress,
-        )  # fmt: skip
+            found, color_model=model, start=given_start, compare=compare, progress=progress
+        )
         calibration.save(output, overwrite=overwrite)
         content = content_of(found, calibration, progress, with_learning=report is not None)
         if report is not None:
@@ -102,6 +97,8 @@ def calibrate(
                 write_report(content, found, calibration, report, overwrite)
             except DataError as problem:
                 raise DataError(f"Wrote {output}, but not its report. {problem}") from problem
+    for finding in calibration.findings:
+        say(f"warning: {finding.message}")
     verdict = content["verdict"]
     if verbose:
         _show(calibration, shown)

@@ -384,7 +384,7 @@ def _made_from(facts: Facts) -> Lines:
     starter = facts["settings"].get("starter")
     if starter is None:
         presses = facts["training_presses"]
-        return [("made from", f"{presses} presses" if presses else "no presses: imported")]
+        return [("made from", f"{presses} presses" if presses else "no presses: imported"), *_doubts(facts)]
     return [
         (
             "starter",
@@ -395,8 +395,12 @@ def _made_from(facts: Facts) -> Lines:
             "spread",
             f"slopes of a unit are within {100 * starter['spread']:.0f} % of the starter's (one standard deviation)",
         ),
-        *[("warning", message) for _, message, _ in starter["findings"]],
+        *_doubts(facts),
     ]
+
+
+def _doubts(facts: Facts) -> Lines:
+    return [("warning", message) for _, message, _ in facts["settings"].get("findings", ())]
 
 
 def _result_lines(facts: Facts) -> Lines:

@@ -98,11 +98,11 @@ def still_stretches(images: Sequence[Array]) -> list[range]:
     """The stretches of images in a row without motion, of at least three, if there are three.
 
     A stretch ends where a block is off the mean of the stretch by more than three of the film's usual steps from image to
-    image: compressed video steps by gray levels at rest. A camera's own steps are a gray level.
+    image: compressed video steps by 1 to 3.5 gray levels at rest, a camera's own gray levels by one, touches by 10 or more.
     """
     blocks = [block_means(one) for one in images]
     steps = [float(np.abs(b - a).max()) for a, b in pairwise(blocks)]
-    most = 3 * max(1.0, float(np.median(steps))) if steps else 0.0
+    most = min(3 * max(1.0, float(np.median(steps))), 10.0) if steps else 0.0
     starts, total = [0], np.zeros_like(blocks[0])
     for k, one in enumerate(blocks):
         if k > starts[-1] and np.abs(one - total / (k - starts[-1])).max() > most:
