@@ -61,7 +61,7 @@ class CalibrationSettings(Mapping[str, Any]):
     # Only if other units of the make were calibrated and this one was not: the make (`sensor`), the relative standard
     # deviation of slopes between units (`spread`), and the `units`.
     starter: Mapping[str, Any] | None = None
-    findings: Sequence[Sequence[Any]] = ()  # about the background: name, message and figure of each
+    findings: Sequence[Sequence[Any]] | None = None  # about the background: name, message and figure of each
     # Settings of the color model, options of an importer, and values that other releases wrote.
     others: Mapping[str, Any] = field(default_factory=dict)
 
@@ -191,7 +191,8 @@ class Calibration:
     def findings(self) -> tuple[Finding, ...]:
         """Findings that belong to every result: that the calibration is a starter, and doubts about its background."""
         found = tuple(
-            Finding(str(name), str(said), float(figure)) for name, said, figure in self.settings.findings
+            Finding(str(name), str(said), float(figure))
+            for name, said, figure in self.settings.findings or ()
         )
         if self.settings.starter is None:
             return found

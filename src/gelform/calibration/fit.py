@@ -106,7 +106,7 @@ def calibrate(
         settings=replace(
             made.settings,
             place_error=place_error,
-            findings=[[one.name, one.message, one.figure] for one in doubts],
+            findings=[[one.name, one.message, one.figure] for one in doubts] or None,
         ),
         held_out=report.held_out,
         report=report,

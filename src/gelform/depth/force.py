@@ -346,7 +346,7 @@ def why_no_normal(touch: Touch) -> str:
     """Why a touch tells no normal force, whatever the model; "" if it does. docs/force.md has the rates of errors."""
     if touch.volume_mm3 is None:
         return "no scale, or a depth from a zero that was set"
-    if touch.volume_mm3 <= 0:
+    if touch.volume_mm3 <= 0 or (touch.outside_change is None and touch.inside_change is None):
         return "no contact: nothing touches, or something too soft or too flat to be seen"
     if touch.outside_change is None or touch.border_share > 0.05:
         return (

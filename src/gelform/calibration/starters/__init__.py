@@ -262,7 +262,7 @@ class Starter:
             settings=replace(
                 made.settings,
                 starter=record,
-                findings=[[one.name, one.message, one.figure] for one in findings],
+                findings=[[one.name, one.message, one.figure] for one in findings] or None,
             ),
         )
 

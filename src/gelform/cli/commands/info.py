@@ -400,7 +400,7 @@ def _made_from(facts: Facts) -> Lines:
 
 
 def _doubts(facts: Facts) -> Lines:
-    return [("warning", message) for _, message, _ in facts["settings"].get("findings", ())]
+    return [("warning", message) for _, message, _ in facts["settings"].get("findings") or ()]
 
 
 def _result_lines(facts: Facts) -> Lines:
