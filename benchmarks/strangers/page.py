@@ -14,7 +14,7 @@ TOUCH = {1.0: "as strong as it was", 0.5: "half as strong", 0.25: "a quarter as 
 # What is wrong; its part, the ends of the names of its rows, and which answer would be right
 DECISIONS: tuple[tuple[str, str, tuple[str, ...], str], ...] = (
     ("gel at rest refused by the starter", "rest", (", refused",), "no"),
-    ("gel at rest that the starter calls touched, uneven or doubtful", "rest", (", called touched",), "no"),
+    ("gel at rest that the starter calls touched", "rest", (", called touched",), "no"),
     ("frame at rest with a contact", "rest", (", contact",), "no"),
     ("frame at rest higher than 0.05 mm without a finding of its own", "rest", (", high",), "no"),
     ("frame at rest with a finding of its own", "rest", ("the calibration's",), "no"),

@@ -27,7 +27,7 @@ from strangers.units import (
 )
 
 # Findings that say or hint that something touches the gel
-TOUCH = ("background_touched", "uneven_background", "starter_light")
+TOUCH = ("background_touched",)
 # px, and gray levels by which a block of a frame at rest moves at most: the codec's steps are under 4
 BLOCK, STILL = 8, 5.0
 PER_CLIP = 4
