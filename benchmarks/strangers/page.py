@@ -91,11 +91,11 @@ def heights(figures: dict[str, Any]) -> str:
     for name, one in figures["rest"].items():
         if name.endswith(", contact"):
             said.append(
-                f"{one['highest, median mm']:.3f} mm in half of the {one['no']} frames of {name.removesuffix(', contact')}, "
-                f"{one['highest, 95 % mm']:.3f} mm in 95 % of them, at worst {one['worst mm']:.3f} mm with a sigma of "
-                f"{one['its sigma mm']:.3f} mm"
+                f"Of {one['no']} frames at rest of {name.removesuffix(', contact')}, half have a highest known depth of "
+                f"{one['highest, median mm']:.3f} mm or less, and 95 % of {one['highest, 95 % mm']:.3f} mm or less. The worst is "
+                f"{one['worst mm']:.3f} mm with a sigma of {one['its sigma mm']:.3f} mm."
             )
-    return fill_text(f"The highest known depth at rest is at most {'; '.join(said)}.", WIDTH)
+    return fill_text(" ".join(said), WIDTH)
 
 
 BLOCKS = {"decisions": decisions, "heights": heights}
