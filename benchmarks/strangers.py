@@ -21,7 +21,7 @@ from presses import data_is_missing
 from real_frames.sets import SETS, Run
 from report import command_line, parts_asked, recorded, write
 from strangers.calibrating import light, presses
-from strangers.frames import contacts, exposure, torn, unknown
+from strangers.frames import bands, contacts, exposure, torn, unknown
 from strangers.page import decisions, fill
 from strangers.rest import moments, rest
 from strangers.streams import streams
@@ -35,6 +35,7 @@ PARTS: dict[str, Any] = {
     "presses": presses,
     "light": light,
     "torn": torn,
+    "bands": bands,
     "exposure": exposure,
     "contacts": contacts,
     "unknown": unknown,

@@ -1,14 +1,15 @@
-"""Parts of strangers.py, on frames: torn, another exposure, hard objects without a contact, imprints that are unknown."""
+"""Parts of strangers.py, on frames: torn, bands, exposure, hard objects without a contact, imprints that are unknown."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 
 import cv2
 import numpy as np
 
 import gelform
+from gelform.image.health import FrameHealth
 from presses import DATA
 from real_frames.contacts import with_noise
 from real_frames.faults import torn as torn_of
@@ -33,6 +34,7 @@ PIECE, SEAM_LEVELS = (
     2.0,
 )  # px along a row, and gray levels: a seam with less of a step is hardly to be seen
 EVERY_OF_CLIP = 12
+BAND_LEVELS, BAND_PERIODS_PX = (3.0, 10.0, 30.0), (16.0, 60.0)  # amplitude in gray levels
 GAINS = (0.9, 1.1)
 DARKER_OR_BRIGHTER = ("exposure", "background_ratio")
 OFTEN_HARD = ("rigid_strawberry", "purple_ball_hardest")  # hard objects that the wedge was not calibrated on
@@ -59,6 +61,36 @@ def torn(run: Run) -> dict[str, Row]:
     for grasp, images in of_grasp.items():
         rows["force-wedge"] = _sum(rows.get("force-wedge"), _torn(rests[grasp], images))
     return shown("torn", rows)
+
+
+def bands(run: Run) -> dict[str, Row]:
+    """Sound frames that are called banded along rows or columns, and frames with bands that are not.
+
+    The figures are the mean error of the levels after gelform took bands out, over that before.
+    """
+    rows: dict[str, Row] = {}
+    for name in SETS_OF_FRAMES:
+        at_rest, images = background(run, name), touches(run, name)
+        called = [_bands(at_rest, image, turned)[0] for image in images for turned in (False, True)]
+        for levels in BAND_LEVELS:
+            missed, left = [], []
+            for image, period, multiplies in product((at_rest, *images), BAND_PERIODS_PX, (True, False)):
+                wave = np.sin(2 * np.pi * np.arange(len(image)) / period)[:, None, None]
+                banded = image * (1 + levels / image.mean() * wave) if multiplies else image + levels * wave
+                banded = np.clip(np.rint(banded), 0, 255).astype(np.uint8)
+                found, without = _bands(at_rest, banded)
+                missed.append(not found)
+                if found:
+                    left.append(float(np.abs(without - image).mean() / np.abs(banded - image).mean()))
+            rows[f"{name}, {levels:g} gray levels"] = row(no=called, yes=missed, figures=left)
+    return shown("bands", rows)
+
+
+def _bands(at_rest: np.ndarray, image: np.ndarray, is_turned: bool = False) -> tuple[bool, np.ndarray]:
+    """Whether an image is called banded, and what is left of it."""
+    levels = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    faults = FrameHealth(at_rest, is_turned)(levels)
+    return any(one.name == "bands" for one in faults.findings), np.asarray(faults.image, dtype=np.float32)
 
 
 def _torn(at_rest: np.ndarray, images: Sequence[np.ndarray]) -> Row:

@@ -48,6 +48,10 @@ DECISIONS: tuple[tuple[str, str, tuple[str, ...], str], ...] = (
     ),
     ("sound frame called torn", "torn", ("",), "no"),
     ("frame of two moments not called torn", "torn", ("",), "yes"),
+    ("sound frame called banded", "bands", (", 3 gray levels",), "no"),
+    ("bands of 3 gray levels not called so", "bands", (", 3 gray levels",), "yes"),
+    ("bands of 10 gray levels not called so", "bands", (", 10 gray levels",), "yes"),
+    ("bands of 30 gray levels not called so", "bands", (", 30 gray levels",), "yes"),
     ("frame of the same exposure called brighter or darker", "exposure", ("",), "no"),
     ("frame 10 % brighter or darker and not called so", "exposure", ("",), "yes"),
     ("hard object at over 2 N without a contact", "contacts", (", contact",), "yes"),
@@ -92,8 +96,8 @@ def heights(figures: dict[str, Any]) -> str:
         if name.endswith(", contact"):
             said.append(
                 f"Of {one['no']} frames at rest of {name.removesuffix(', contact')}, half have a highest known depth of "
-                f"{one['highest, median mm']:.3f} mm or less, and 95 % of {one['highest, 95 % mm']:.3f} mm or less. The worst is "
-                f"{one['worst mm']:.3f} mm with a sigma of {one['its sigma mm']:.3f} mm."
+                f"{one['highest, median mm']:.3f} mm or less, and 95 % of {one['highest, 95 % mm']:.3f} mm or less. The worst "
+                f"is {one['worst mm']:.3f} mm with a sigma of {one['its sigma mm']:.3f} mm."
             )
     return fill_text(" ".join(said), WIDTH)
 
