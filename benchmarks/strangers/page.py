@@ -95,9 +95,9 @@ def heights(figures: dict[str, Any]) -> str:
     for name, one in figures["rest"].items():
         if name.endswith(", contact"):
             said.append(
-                f"Of {one['no']} frames at rest of {name.removesuffix(', contact')}, half have a highest known depth of "
-                f"{one['highest, median mm']:.3f} mm or less, and 95 % of {one['highest, 95 % mm']:.3f} mm or less. The worst "
-                f"is {one['worst mm']:.3f} mm with a sigma of {one['its sigma mm']:.3f} mm."
+                f"Of {one['no']} frames at rest of {name.removesuffix(', contact')}, half have a highest known depth "
+                f"of {one['highest, median mm']:.3f} mm or less, and 95 % of {one['highest, 95 % mm']:.3f} mm or less. "
+                f"The worst is {one['worst mm']:.3f} mm with a sigma of {one['its sigma mm']:.3f} mm."
             )
     return fill_text(" ".join(said), WIDTH)
 
