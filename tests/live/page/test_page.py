@@ -145,9 +145,10 @@ def test_buttons_do_what_they_say(page, station):
         page.click(".toast a >> nth=0")
     assert cv2.imread(str(download.value.path())).shape == (*station.newest.result.shape, 3)
     page.click("#background")
-    until(lambda: "Something touches the gel" in page.inner_text("#toasts"))
+    until(lambda: "Something seems to touch the gel" in page.inner_text("#toasts"))
+    page.click("#undo-background")
+    until(lambda: not page.is_visible("#undo-background"))
     assert station.setup.background is None
-    assert not page.is_visible("#undo-background")
     station.source.lift()
     until(lambda: station.newest.numbers.peak < 0.05)
     page.keyboard.press("b")
