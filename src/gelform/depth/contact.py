@@ -105,14 +105,18 @@ def contacts_from_mask(
     mask = as_array(contact, "contact")
     if z.ndim != 2 or mask.shape != z.shape:
         raise ValueError(f"Expected contact and depth of one frame, (H, W), got {mask.shape} and {z.shape}.")
-    if mask.dtype != np.bool_:
-        raise TypeError(f"Expected contact as bool, got {mask.dtype}. Convert it: contact > 0.")
+    seen = np.ones(z.shape, dtype=np.bool_) if known is None else as_array(known, "known")
+    if seen.shape != z.shape:
+        raise ValueError(f"Expected known of the shape of depth, {z.shape}, got {seen.shape}.")
+    for name, one in (("contact", mask), ("known", seen)):
+        if one.dtype != np.bool_:
+            raise TypeError(f"Expected {name} as bool, got {one.dtype}. Convert it: {name} > 0.")
     pitch = None if mm_per_px is None else check_mm_per_px(mm_per_px)
     count, labels = labeled(mask)
     moments = np.empty((count, 14))
     _region_moments(labels, z, moments)
     unsure = [False] * count
-    if known is not None and not (seen := as_array(known, "known")).all():
+    if not seen.all():
         of_known = np.empty((count, 14))
         _region_moments(labels * seen, z, of_known)
         for k in np.flatnonzero(of_known[:, 0] < moments[:, 0]):  # regions with unknown pixels
