@@ -46,9 +46,8 @@ class Touch:
     # Of the depth in the contact; 0 without a contact; None without a scale, or from a zero that was set.
     volume_mm3: float | None = None
     confidence: float = 0.0  # mean in the contact
-    outside_change: float | None = (
-        None  # median outside the contact over the mean inside; None: no contact or no outside
-    )
+    # Median outside the contact over the mean inside; None: no contact, or no outside.
+    outside_change: float | None = None
     inside_change: float | None = None  # mean inside the contact, RMS of a channel
     border_share: float = 0.0  # the part of the volume that lies in the band along the border
     dots: DotMotion | None = None  # None if the gel has none, or fewer than half are seen

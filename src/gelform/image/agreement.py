@@ -178,9 +178,8 @@ def touch_in(image: Array, untouched: Array | None = None) -> Touch | None:
     else:
         energy, least = structure(_log(image) - _log(untouched)), TOUCHED_RATIO_OF_CHANGE
     (height, width), (top, left) = energy.shape, (n // 8 for n in energy.shape)
-    inner = energy[
-        top : height - top, left : width - left
-    ]  # nearer to the border the blurs see its mirror image
+    # Nearer to the border the blurs see its mirror image.
+    inner = energy[top : height - top, left : width - left]
     y, x = np.unravel_index(int(inner.argmax()), inner.shape)
     most = float(inner[y, x])
     found = Touch(int(x) + left, int(y) + top, most, most / max(float(np.median(inner)), 1e-9))
