@@ -15,13 +15,20 @@ from pathlib import Path
 from typing import Any
 
 from motion.clips import clips
-from motion.shapes import balls, edges, simulated
+from motion.shapes import balls, edges, simulated, starters
 from motion.surfaces import surface
 from presses import data_is_missing
 from report import command_line, machine, parts_asked, write
 
-PARTS = {"clips": clips, "balls": balls, "edges": edges, "simulated": simulated, "surface": surface}
-REAL = ("clips", "balls", "edges")
+PARTS = {
+    "clips": clips,
+    "balls": balls,
+    "starters": starters,
+    "edges": edges,
+    "simulated": simulated,
+    "surface": surface,
+}
+REAL = ("clips", "balls", "starters", "edges")
 
 
 def main() -> None:

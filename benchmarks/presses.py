@@ -24,9 +24,9 @@ def data_is_missing(part: str) -> bool:
     return not DATA.is_dir()
 
 
-def reference_circles() -> dict[str, Circle]:
-    """Center and radius (px) of the contacts of mini-ball, for scoring, by the names of the presses."""
-    with (DATA / "mini-ball" / "reference_circles.csv").open(encoding="utf-8") as file:
+def reference_circles(name: str = "mini-ball") -> dict[str, Circle]:
+    """Center and radius (px) of the contacts of a set that has them, for scoring, by the names of the presses."""
+    with (DATA / name / "reference_circles.csv").open(encoding="utf-8") as file:
         return {
             row["image"]: (
                 float(row["center_x_px"]),

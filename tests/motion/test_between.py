@@ -447,7 +447,7 @@ def test_what_stays_at_its_place_pulls_the_object_back(shift):
 def blind_of(face, seeds=(1, 2), **fields):
     poses = zip(seeds, (None, pose(0.3, 0.1)))
     first, second = (TouchedSurface(contact_of(face, one, seed=k, **fields)) for k, one in poses)
-    return blind_directions(first, first.equations(second, pose(0.3, 0.1)))
+    return blind_directions(first, first.equations(second, pose(0.3, 0.1)))[:2]
 
 
 @pytest.mark.slow

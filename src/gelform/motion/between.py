@@ -382,7 +382,7 @@ def motion_of(
     found = _fitted(first, second, start, np.eye(6))
     if isinstance(found, Motion):
         return found
-    blind, freely = blind_directions(first, found)
+    blind, freely, pivot_mm = blind_directions(first, found)
     if blind:
         found = _fitted(first, second, start, freely)
         if isinstance(found, Motion):
@@ -406,6 +406,8 @@ def motion_of(
     # A thousandth of the covariance by the stated sigmas remains where residuals are 0 or come from one block, which
     # measures none; where it is measured, on textures and balls, it is 1 to 60 times that of the stated sigmas.
     seen = along @ own @ along.T + 1e-3 * stated
+    if pivot_mm:  # what turns about a center that is elsewhere would shift this one
+        seen[:2, :2] += (pivot_mm * min(prior[1], NO_PRIOR[1])) ** 2 * np.eye(2)
     pose, covariance = _with_prior(pose, start, center, freely, along, seen, prior)
     if why := _too_far(pose, start, center):
         return lost(why, shared)
@@ -508,8 +510,8 @@ def _pull(surface: TouchedSurface, equations: Equations) -> Array:
 class Blind:
     """A direction of motion that cannot be seen.
 
-    Its correlation is that of the changes of slope which both frames predict, below 0.71; of a ball, the share of what its
-    turns change that is shape, below 0.5.
+    Its correlation is that of the changes of slope which both frames predict, below 0.71; of a ball, the share of the
+    places that no ball explains, below 0.5.
     """
 
     direction: Array  # (6,) a shift, mm, and a turn, rad, about the contact's middle
@@ -517,10 +519,11 @@ class Blind:
     words: str  # what moves so, such as "turns about the ball's center at (0.1, -0.4, -2.6) mm"
 
 
-def blind_directions(first: TouchedSurface, at: Equations) -> tuple[tuple[Blind, ...], Array]:
+def blind_directions(first: TouchedSurface, at: Equations) -> tuple[tuple[Blind, ...], Array, float]:
     """The directions that the equations at the best pose of two contacts cannot tell, and the others (6, k).
 
-    The others do not turn about the axes of blind turns, and do not shift along blind shifts.
+    The others do not turn about the axes of blind turns, and do not shift along blind shifts. The last is the standard
+    deviation of a ball's center along z, mm; 0 without one.
     """
     scale = first.scale
     _, directions, undetermined = determined_by(at.information, scale)
@@ -530,7 +533,8 @@ def blind_directions(first: TouchedSurface, at: Equations) -> tuple[tuple[Blind,
         pivot, shape = ball
         turns = np.concatenate([about_other_center(-pivot)[:3, 3:], np.eye(3)]).T
         center = f"turns about the ball's center at {_place(at.center + pivot)}"
-        return tuple(Blind(turn, shape, center) for turn in turns), np.eye(6)[:, :3]
+        pivot_mm = float(_sizes(pivot)) * shape**0.5
+        return tuple(Blind(turn, shape, center) for turn in turns), np.eye(6)[:, :3], pivot_mm
     unseen = directions[:, chosen].T
     # A small turn beside a shift is noise: times a prior of millimeters, it would make turns uncertain that are seen.
     turning = _sizes(unseen[:, 3:] / scale[3:]) > 0.3 * _sizes(unseen[:, :3])
@@ -544,7 +548,7 @@ def blind_directions(first: TouchedSurface, at: Equations) -> tuple[tuple[Blind,
         else f"shifts along {_axis(shift)}"
         for shift, turn, turns_too in zip(unseen[:, :3], unseen[:, 3:], turning)
     ]
-    return tuple(map(Blind, unseen, alike[chosen].tolist(), words)), scale[:, None] * others.T
+    return tuple(map(Blind, unseen, alike[chosen].tolist(), words)), scale[:, None] * others.T, 0.0
 
 
 def has_moved(surface: TouchedSurface, pose: Array) -> bool:
@@ -572,10 +576,9 @@ def _correlations(first: TouchedSurface, at: Equations, directions: Array) -> Ar
 
 
 def _ball(first: TouchedSurface, at: Equations) -> tuple[Array, float] | None:
-    """The center, from that of the equations, of a ball that is all that both frames show, and its share of shape.
+    """The center, from that of the equations, of a ball that both frames show, and the share of the places that is none.
 
-    Turns about a ball's center change the slopes at a place by moving them, and by turning them, to the same amount. What is
-    left in both frames is shape, or the error of slopes that the calibration carries: more than that error is no ball.
+    Slopes read too small or too steep, as by another unit's calibration, leave a ball's normals linear in the place.
     """
     weight = at.weight[:, :2] * (first.own.inside & at.inside)[:, None]
     of_point = weight.mean(axis=1, dtype=np.float64)
@@ -586,21 +589,14 @@ def _ball(first: TouchedSurface, at: Equations) -> tuple[Array, float] | None:
     point = moved(at.pose, first.points) - at.center
     # A ball of radius r: point = pivot + r normal.
     middle, upward = of_point @ point / total, of_point @ normal / total
-    apart = of_point @ np.square(normal - upward).sum(axis=1)
-    radius = of_point @ ((point - middle) * (normal - upward)).sum(axis=1) / max(apart, 1e-12 * total)
-    pivot = middle - radius * upward
-    turns = np.concatenate([about_other_center(-pivot)[:3, 3:], np.eye(3)])
-    x, y = first.slopes.T.astype(np.float64)
-    turned = np.stack([[x * y, -(1 + x**2), -y], [1 + y**2, -x * y, x]]).transpose(2, 0, 1).reshape(-1, 3)
-    both = [one.jacobian[:, :2].reshape(-1, 6) @ turns for one in (at, first.own)]
-    each = weight.reshape(-1, 1)
-    shape, change = ((each * (both[0] + own)).T @ (both[1] + own) for own in (np.zeros_like(turned), turned))
-    change += (each * turned).T @ turned
-    change += np.eye(3) * (1e-9 * np.trace(change) + 1e-30)
-    left = float(np.linalg.eigvals(np.linalg.solve(change + change.T, shape + shape.T)).real.max())
-    carried = 2 * np.count_nonzero(weight) / max(float(np.sum(weight * np.square(first.slopes))), 1e-30)
-    # Of other objects .6 or more is shape, of balls by a starter .5 at most.
-    return (pivot, left) if left < min(0.5, carried) else None
+    away, off = point - middle, normal - upward
+    places, apart = of_point @ np.square(away).sum(axis=1), of_point @ np.square(off).sum(axis=1)
+    both = of_point @ (away * off).sum(axis=1)
+    left = 1 - max(both, 0) ** 2 / max(places * apart, 1e-30)
+    pivot = middle - upward * both / max(apart, 1e-12 * total)
+    # The stated variance of a slope over its square. More than half is no ball, whatever is known of the slopes.
+    doubt = 2 * np.count_nonzero(weight) / max(float(np.sum(weight * np.square(first.slopes))), 1e-30)
+    return (pivot, left) if left < min(0.5, doubt) else None
 
 
 def _sizes(vectors: Array) -> Array:

@@ -152,8 +152,16 @@ SIX_SIGMA = 7.0  # mm/mm, standard deviation that a residual of 6 sigma adds; ri
 CAUSES = {
     "saturated": Cause("at the camera's upper end. Lower exposure, gain or the lights.", BLIND, "#e69f00"),
     "dark": Cause("at the camera's lower end. Is a light off, or the exposure too short?", BLIND, "#0072b2"),
-    "shadow": Cause("darker than any slope makes it: a cast shadow.", SIX_SIGMA, "#56b4e9"),
-    "specular": Cause("brighter than any slope makes it: a mirrored light.", SIX_SIGMA, "#f0e442"),
+    "shadow": Cause(
+        "darker than the slopes of the presses: a cast shadow, or a face steeper than they have shown.",
+        SIX_SIGMA,
+        "#56b4e9",
+    ),
+    "specular": Cause(
+        "brighter than the slopes of the presses: a mirrored light, or a face steeper than they have shown.",
+        SIX_SIGMA,
+        "#f0e442",
+    ),
     "off_gamut": Cause(
         "of colors that no slope gives: dust, a scratch, another gel, or slopes outside the training zone.",
         SIX_SIGMA,
