@@ -11,6 +11,7 @@ import pytest
 
 import gelform
 from gelform.calibration import guide as module
+from gelform.calibration.circles import find as find_module
 from gelform.calibration.guide import LEAST, NEXT_PLACES, STILL_LOOKS, Guide, Judge
 from gelform.calibration.starters import load_starter
 from gelform.errors import GelformError
@@ -19,6 +20,7 @@ from gelform.image.view import Frame
 from gelform.sensors.files import SensorSettings
 from gelform.sensors.profiles import PROFILES, SENSORS
 from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_press
+from made.images import halved
 
 BALL_MM = 5.0
 
@@ -77,7 +79,7 @@ def test_reasons_say_what_to_do(judge, press):
     x, y, radius = looked(judge, here.image).circle
     for share, reason in ((0.35, "You pressed here before. Press at the circle."), (0.45, "")):
         assert looked(judge, here.image, [(x + share * radius, y, radius)]).reason == reason
-    assert "harder" in looked(judge, press(0, 0, depth_mm=0.06).image).reason
+    assert "harder" in looked(judge, press(0, 0, depth_mm=0.055).image).reason
     assert "too deep" in looked(judge, press(0, 0, depth_mm=0.7, diameter_mm=14).image).reason
 
 
@@ -158,7 +160,7 @@ def test_a_press_held_still_is_accepted_once(guide, see, press):
 
 
 def test_a_click_takes_a_press_where_no_ball_is_seen_and_gives_its_circle(guide, see, press, monkeypatch):
-    """As if its colors were as bright all around; the click is forgotten with the press."""
+    """As if its colors were as bright all around and no ball's; the click is forgotten with the press."""
     see(times=USUAL_FRAMES)
     see(press(3, 2).image, STILL_LOOKS + 1)
     seen, find = guide.facts()["accepted"][0], module.find_contact
@@ -166,6 +168,7 @@ def test_a_click_takes_a_press_where_no_ball_is_seen_and_gives_its_circle(guide,
     monkeypatch.setattr(
         module, "find_contact", lambda change: replace(find(change), x_px=9.0, antisymmetry=0.1)
     )
+    monkeypatch.setattr(find_module, "MIN_EVIDENCE", np.inf)
     other = press(-3, 2)
     see(other.image, STILL_LOOKS + 1)
     assert guide.count == 1
@@ -181,6 +184,21 @@ def test_a_click_takes_a_press_where_no_ball_is_seen_and_gives_its_circle(guide,
     assert guide.count == 2
     monkeypatch.setattr(module, "LEAST", 2)
     assert [one.center_px for one in guide.presses().presses] == [None, other.center_px]
+
+
+@pytest.mark.slow
+def test_a_home_made_sensor_is_guided_as_its_folder_is_calibrated(data):
+    """Its imprints are even, so that the color change is hardly odd: the finder of `calibrate` sees each ball."""
+    presses = halved(gelform.read_presses(data / "homemade-even" / "a").subset(range(0, 9, 2)))
+    background = np.asarray(presses.background, np.float32)
+    still = np.rint(background).astype(np.uint8)
+    ball_px = presses.presses[0].ball_diameter_mm / 2 / presses.mm_per_px
+    judge = Judge(background, still, 1.0, ball_px)
+    for press in presses.presses:
+        look = judge.look(press.image)
+        x, y, radius = np.array(press.label) / 2
+        assert np.hypot(look.circle[0] - x, look.circle[1] - y) < 0.2 * radius, look.reason
+        judge.accept()
 
 
 def test_the_same_place_again_is_rejected_with_the_reason(guide, see, press):

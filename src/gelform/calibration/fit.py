@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from gelform.arrays import Map, Numbers
-from gelform.calibration.circles.find import ColorChanges, ContactCircle, find_contact, why_no_contact
+from gelform.calibration.circles.find import ContactCircle, prepare, why_no_contact
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.coverage import SAMPLED
 from gelform.calibration.held_out import errors_of, measure_held_out
@@ -173,7 +173,7 @@ def evaluate(
     *,
     progress: Progress = no_progress,
 ) -> Evaluation:
-    """Measure errors on presses of known balls and flat punches; labels are used if the folder has them.
+    """Measure errors on presses of known balls and flat punches, whose circles are found as `calibrate` finds them.
 
     Parameters
     ----------
@@ -195,15 +195,10 @@ def evaluate(
         presses = with_view(presses, view, presses.geometry.lens)
     mm_per_px = calibration.known_mm_per_px
     reconstruct = Reconstructor(calibration, presses.background)
-    changes = ColorChanges(reconstruct.background, calibration.change)
     ratio = calibration.settings.contact_radius_ratio or 1.0
     rows, errors, pixels = [], [], []
-    for done, press in enumerate(presses.presses):
-        if press.label is None:
-            contact = find_contact(changes(press.image)[0])
-            circle, reason = contact.circle_px, why_no_contact(contact)
-        else:
-            circle, reason = press.label, None
+    for done, (press, found) in enumerate(zip(presses.presses, prepare(presses, progress=progress))):
+        circle, reason = found.found.circle_px, found.refused or why_no_contact(found.found)
         row: dict[str, Any] = {
             "name": press.name,
             "ball_diameter_mm": press.ball_diameter_mm,
@@ -213,10 +208,10 @@ def evaluate(
         }
         if reason is None:
             result = reconstruct.from_image(press.image)
-            found, solved, _ = errors_of(done, press, circle, result, mm_per_px, ratio)
-            errors.append(found)
+            wrong, solved, _ = errors_of(done, press, circle, result, mm_per_px, ratio)
+            errors.append(wrong)
             pixels.append(solved)
-            row["errors"] = asdict(found)
+            row["errors"] = asdict(wrong)
         rows.append(row)
         progress(done + 1, len(presses.presses), "reconstructing presses")
     if not errors:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,12 +19,13 @@ from gelform.calibration.circles.find import (
     USUAL_OFFSET,
     ColorChanges,
     ContactCircle,
+    PreparedPress,
     about_median,
     find_contact,
     magnitude,
-    marked_contact,
     scale_of,
     why_no_contact,
+    with_contacts,
 )
 from gelform.calibration.coverage import NEEDED, Coverage, PressPlace, press_coverage, press_next
 from gelform.calibration.fit import calibrate
@@ -181,29 +183,49 @@ class Judge:
         self._still = 1.0 + 0.9 * noise  # gray levels, largest change of a still block
         self._ball_px = ball_radius_px
         self._before: NDArray[np.float32] | None = None
+        self._background = background
+        self._looked: PreparedPress | None = None  # the last image in which a ball was sought
+        self._accepted: deque[PreparedPress] = deque(maxlen=8)
         self._touched = max(0.05, 1.6 * _largest(self._changes(untouched)[0]))  # color change
 
     def look(
-        self, image: NDArray[Any], accepted: Sequence[Circle] = (), clicked: tuple[float, float] | None = None
+        self,
+        image: NDArray[Any],
+        accepted: Sequence[Circle] = (),
+        clicked: tuple[float, float] | None = None,
+        *,
+        by_templates: bool = True,
     ) -> Look:
-        """Judge an image (H, W, 3), given the accepted presses, and the center (x, y) that was clicked or None."""
+        """Judge an image (H, W, 3), given the accepted presses, and the center (x, y) that was clicked or None.
+
+        A ball whose colors are hardly odd is sought by templates too, which takes longer.
+        """
         height, width = self._shape
         small = cv2.resize(image, (width // SMALL, height // SMALL), interpolation=cv2.INTER_AREA)
         before, self._before = self._before, small.astype(np.float32)
         moving = before is None or float(np.abs(self._before - before).max()) > self._still
         try:
-            change, _ = self._changes(image)
+            change, usable = self._changes(image)
         except CalibrationError as refusal:
             return Look(None, True, moving, str(refusal))
         if _largest(change) < self._touched:
             return Look(None, False, moving, "")
-        contact = find_contact(change)
-        if clicked is not None:
-            contact = marked_contact(contact, magnitude(about_median(change)), *clicked, None)
+        mark, size = None if clicked is None else (*clicked, None), magnitude(about_median(change))
+        press = PreparedPress(
+            "", change, size, self._ball_px, find_contact(change), usable, self._background, mark=mark
+        )
+        if mark is not None or by_templates:  # what the presses so far show elsewhere too is no ball
+            press = with_contacts([*self._accepted, press])[-1]
+        self._looked, contact = press, press.found
         if why_no_contact(contact) is None:
             return Look(contact.circle_px, True, moving, self._reason(contact, accepted), contact.marked)
         reason = "No ball is clearly visible. Press it a little harder, straight down. Or click the middle of its imprint."
         return Look(None, True, moving, reason)
+
+    def accept(self) -> None:
+        """Take the last image as a press of the set, with which balls in later images are sought."""
+        if self._looked is not None:
+            self._accepted.append(self._looked)
 
     def _reason(self, contact: ContactCircle, accepted: Sequence[Circle]) -> str:
         x, y, radius = contact.circle_px
@@ -509,7 +531,8 @@ class Guide:
     def _judge_press(self, image: NDArray[np.uint8]) -> None:
         """Accept or reject a press that is held still."""
         assert self._judge is not None
-        look = self._live = self._judge.look(image, self._circles, self._click)
+        judged = self._lifted and self._still + 1 >= STILL_LOOKS
+        look = self._live = self._judge.look(image, self._circles, self._click, by_templates=judged)
         if not look.touched:
             self._lifted, self._still, self._click = True, 0, None
             self.hint = self._asking()
@@ -530,6 +553,7 @@ class Guide:
             name, click = f"images/{self.count:04d}.png", self._click if look.marked else None
             self._presses.append(Press(name, image, self.ball_diameter_mm, center_px=click))
             self._circles.append(look.circle)
+            self._judge.accept()
             self._lifted = False
             self._ask_next()
             self.hint = "Accepted. Lift the ball."

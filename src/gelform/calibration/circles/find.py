@@ -274,7 +274,10 @@ def with_contacts(prepared: list[PreparedPress]) -> list[PreparedPress]:
     ]
     known = [
         None
-        if contact.is_weak and press.refused is None and (press.mark is None or press.mark[2] is None)
+        if contact.is_weak
+        and contact.evidence is None
+        and press.refused is None
+        and (press.mark is None or press.mark[2] is None)
         else contact.circle_px
         for press, contact in zip(prepared, found)
     ]
@@ -403,7 +406,7 @@ def find_by_templates(
     across = pictures.shape[2] / changes[0].shape[1], pictures.shape[1] / changes[0].shape[0]
     circles = [None if one is None else _scaled(one, *across, factor) for one in known]
     evidence = [0.0] * len(presses)
-    for _ in range(3):  # of circles and noise
+    for _ in range(3 if len(presses) >= 3 else 1):  # of circles and noise, which follows from three
         noise = _noise(pictures, circles)
         radii = [one[2] for one in circles if one is not None and len(presses) >= 3]
         for k in sought:
