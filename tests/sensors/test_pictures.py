@@ -8,6 +8,8 @@ from __future__ import annotations
 import struct
 import tracemalloc
 import zlib
+from functools import partial
+from io import BytesIO
 
 import cv2
 import numpy as np
@@ -19,11 +21,12 @@ from gelform.errors import DataError
 from gelform.foundations.files import picture_bytes
 from gelform.image.view import as_levels
 from gelform.sensors import pictures
-from gelform.sensors.files import IMAGE_SUFFIXES
 from gelform.sensors.pictures import (
+    IMAGE_SUFFIXES,
     MAX_STRICT_BYTES,
     check_declared,
     declared_shape,
+    image_from_bytes,
     image_from_jpeg,
     image_from_values,
     npy_values,
@@ -356,6 +359,78 @@ def test_a_whole_frame_of_a_mini_passes_and_a_jpeg_that_declares_four_gigapixels
     assert image_from_jpeg(bomb) is None
 
 
+def saved(kind, mode="RGB", frames=1, **options):
+    """The bytes of a picture, or of several in one, as Pillow writes them."""
+    pillow = pytest.importorskip("PIL.Image")
+    images = [pillow.fromarray(np.roll(SMOOTH, 9 * k, axis=1)).convert(mode) for k in range(frames)]
+    options |= {"save_all": True, "append_images": images[1:]} if frames > 1 else {}
+    file = BytesIO()
+    images[0].save(file, kind, **options)
+    return file.getvalue()
+
+
+def cut(content, percent):
+    return content[: int(percent / 100 * len(content))]
+
+
+REFUSED_PICTURES = {
+    "gray PNG": (lambda: saved("PNG", "L"), "got a gray one"),
+    "gray PNG with transparency": (lambda: saved("PNG", "LA"), "got a gray one"),
+    "gray JPEG": (lambda: saved("JPEG", "L"), "got a gray one"),
+    "gray TIFF with transparency": (lambda: saved("TIFF", "LA"), "got a gray one"),
+    "gray BMP": (lambda: saved("BMP", "L"), "palette"),
+    "PNG of a palette": (lambda: saved("PNG", "P"), "palette"),
+    "BMP of a palette": (lambda: saved("BMP", "P"), "palette"),
+    "TIFF of a palette": (lambda: saved("TIFF", "P"), "palette"),
+    "CMYK JPEG": (lambda: saved("JPEG", "CMYK"), "CMYK"),
+    "CMYK TIFF": (lambda: saved("TIFF", "CMYK"), "CMYK"),
+    "Lab TIFF": (lambda: saved("TIFF", "LAB"), "CMYK"),
+    "animated PNG": (lambda: saved("PNG", frames=3), "got several"),
+    "animated WebP": (lambda: saved("WEBP", frames=3), "got several"),
+    "GIF": (lambda: saved("GIF"), "no image that can be read"),
+    "animated GIF": (lambda: saved("GIF", frames=3), "no image that can be read"),
+    "AVIF": (lambda: saved("AVIF"), "no image that can be read"),
+    "TIFF of pages": (lambda: saved("TIFF", frames=3), "several"),
+    "16 bits": (lambda: cv2.imencode(".png", SMOOTH.astype(np.uint16) * 200)[1].tobytes(), "8-bit color"),
+    "transparent": (
+        lambda: cv2.imencode(".png", np.dstack([SMOOTH, SMOOTH[..., 0]]))[1].tobytes(), "transparency"
+    ),
+    **{
+        f"JPEG cut to {share} %": (lambda share=share: cut(jpeg(GEL), share), "truncated or damaged")
+        for share in (95, 98, 99.5)
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", REFUSED_PICTURES)
+def test_what_is_no_color_frame_is_refused_as_a_file_and_within_one(tmp_path, kind):
+    made, said = REFUSED_PICTURES[kind]
+    content = made()
+    suffix = ".tif" if content.startswith((b"II", b"MM")) else ".png"
+    (tmp_path / f"picture{suffix}").write_bytes(content)
+    padded = np.frombuffer(content + bytes(9), np.uint8)
+    for read in (
+        partial(gelform.read_image, tmp_path / f"picture{suffix}"),
+        partial(image_from_values, padded),
+    ):
+        with pytest.raises(DataError, match=said):
+            read()
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "TIFF", "PNG", "WEBP"])
+@pytest.mark.parametrize("turn", [3, 6])
+def test_pixels_are_those_stored_whatever_turn_a_tag_asks_for(tmp_path, kind, turn):
+    exif = pytest.importorskip("PIL.Image").Exif()
+    exif[274] = turn
+    plain, tagged = (saved(kind, **options) for options in ({}, {"exif": exif}))
+    assert len(tagged) > len(plain) or kind == "TIFF"
+    (tmp_path / "a.tif").write_bytes(tagged)
+    wanted = image_from_bytes(plain, "x")
+    assert wanted.shape == SMOOTH.shape
+    np.testing.assert_array_equal(gelform.read_image(tmp_path / "a.tif"), wanted)
+    np.testing.assert_array_equal(image_from_values(np.frombuffer(tagged, np.uint8)), wanted)
+
+
 IMAGE_VALUES = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
 
 
@@ -376,8 +451,8 @@ def test_kinds_of_frames_and_what_is_refused():
         (np.full((6, 8, 3), np.nan), "Expected whole numbers"),
         (IMAGE_VALUES[..., :2], r"got \(6, 8, 2\)"),
         (IMAGE_VALUES / 255 - 0.5, "Expected whole numbers"),
-        (np.zeros(0, np.uint8), "bytes that are no image"),
-        (np.arange(90, dtype=np.uint8), "bytes that are no image"),
+        (np.zeros(0, np.uint8), "encoded picture is empty"),
+        (np.arange(90, dtype=np.uint8), "encoded picture is no image that can be read"),
         (DataError("chunk 3 is damaged"), "chunk 3 is damaged"),
     ):
         with pytest.raises(DataError, match=said):

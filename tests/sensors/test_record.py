@@ -268,7 +268,7 @@ def test_pixels_are_kept_without_loss_and_damaged_pictures_say_which():
     np.testing.assert_allclose(image[5, 5], (200, 0, 5), atol=4)
     assert (reduction_in({}), reduction_in({"reduced": 4})) == (1, 4)
     for content in (b"", b"\x89PNG but torn", frames(1, encoded=True)[0].encoded[:-40]):
-        with pytest.raises(DataError, match="frame 7 is damaged"):
+        with pytest.raises(DataError, match=r"frame 7 is .*(damaged|empty)"):
             image_from_encoded(content, 1, "frame 7")
 
 

@@ -35,10 +35,10 @@ from gelform.foundations.checks import check_image, check_path
 from gelform.foundations.files import way_for
 from gelform.image.agreement import background_digest
 from gelform.image.view import MAX_PIXELS, Frame, image_from_frame, in_rgb
-from gelform.sensors.files import FILM_SUFFIXES, IMAGE_SUFFIXES, is_stack, read_background, read_image
+from gelform.sensors.files import FILM_SUFFIXES, is_stack, read_background, read_image
 from gelform.sensors.films import open_film
 from gelform.sensors.mcap import end_missing, refuse_bag
-from gelform.sensors.pictures import image_from_values
+from gelform.sensors.pictures import IMAGE_SUFFIXES, image_from_values
 
 
 @dataclass(frozen=True)

@@ -5,15 +5,13 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from io import BytesIO
 from itertools import chain
 from os import PathLike
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-import cv2
 import numpy as np
 
 from gelform.arrays import Array, Image
@@ -29,16 +27,12 @@ from gelform.foundations.files import MAX_TEXT_BYTES, bytes_of, way_for
 from gelform.image.background import background_from_frames
 from gelform.image.view import MAX_PIXELS, View, rgb_from_bgr
 from gelform.sensors.pictures import (
-    JPEG,
-    PNG,
+    IMAGE_SUFFIXES,
     begin_tiff_at,
-    check_declared,
+    image_from_bytes,
     image_of_npy,
-    is_gray_jpeg,
     is_npy,
     npy_values,
-    pixels_of_jpeg,
-    pixels_of_png,
     tiff_pages,
 )
 from gelform.sensors.profiles import PROFILES
@@ -80,7 +74,6 @@ AT_REST = re.compile(
     "ambient|background|base|baseline|bg|blank|bkg|empty|f0|flat|frame0|init|initial|nocontact|notouch|rest|ref|reference|"
     "undeformed|untouched|zero"
 )
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 
 
 @dataclass(frozen=True)
@@ -143,8 +136,8 @@ def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS, bgr: bool =
     Raises
     ------
     DataError
-        The file is missing, unreadable, truncated or damaged, too large, gray, 16-bit, of a palette, or
-        transparent, or holds several images; the message says which and what to do.
+        The file is missing or unreadable, or its bytes are refused by `image_from_bytes`; the message says why and what to
+        do.
     """
     path = check_path(path)
     if bgr:
@@ -155,7 +148,10 @@ def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS, bgr: bool =
         )
     if is_npy(path):
         return image_of_npy(npy_values(path, most_pixels), str(path))
-    return _image_in(_picture_bytes(path, most_pixels), path, most_pixels)
+    if is_video(path) or path.suffix.lower() == ".mcap":
+        raise DataError(f"Expected an image, got a video or a recording: {path}. Its frames: gelform batch.")
+    content = _picture_bytes(path, most_pixels)
+    return image_from_bytes(content, str(path), most_pixels, hint=way_for(path))
 
 
 def _picture_bytes(path: Path, most_pixels: float) -> bytes:
@@ -190,7 +186,7 @@ def images_of_stack(path: Path) -> tuple[Callable[[int], Image], int]:
 
     def image(number: int) -> Image:
         begin_tiff_at(begun, pages[number])
-        return _image_in(cast("bytes", begun), path, MAX_PIXELS)
+        return image_from_bytes(begun, str(path), alone=False)
 
     return image, len(pages)
 
@@ -209,40 +205,6 @@ def _images_at_rest(path: Path) -> Iterator[Array]:
         yield levels
     else:
         yield read_image(path)
-
-
-def _image_in(content: bytes, path: Path, most_pixels: float) -> Image:
-    try:
-        check_declared(content, most_pixels)
-    except ValueError as problem:
-        raise DataError(f"{path}: {problem}. It is damaged, or no frame of this sensor.") from problem
-    rgb = _usual_pixels(content, path)
-    if rgb is not None:
-        return rgb
-    pixels = _decoded(content, path)
-    if pixels.dtype != np.uint8:
-        raise DataError(
-            f"Expected 8-bit color, got {pixels.dtype} in {path}. Save the camera's frames with 8 bits per "
-            "channel (0-255)."
-        )
-    if pixels.ndim == 2 or pixels.shape[2] == 1:
-        raise DataError(
-            f"Expected a color image, got a gray one: {path}. Three lights need three channels: save the "
-            "camera's color frames."
-        )
-    if pixels.shape[2] == 4 and (pixels[..., 3] == 255).all():
-        pixels = pixels[..., :3]
-    if pixels.shape[2] != 3:
-        raise DataError(
-            f"Expected an image of three channels, got {pixels.shape[2]} (an alpha channel?): {path}. "
-            "Save it without transparency."
-        )
-    if content.startswith(PNG) and content[25] == 3:  # the kind of color: a palette (PNG specification, IHDR)
-        raise DataError(
-            f"Expected 8 bits for each of red, green and blue, got a palette of up to 256 colors: {path}. Slopes are read "
-            "from small differences of color, which a palette rounds away. Save the camera's frames in full color."
-        )
-    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
 def read_sensor_toml(path: str | Path) -> SensorSettings:
@@ -316,54 +278,6 @@ def _measured(table: dict[str, Any]) -> dict[str, Any]:
         if numbers.shape != (3, 3) or not np.isfinite(numbers).all():
             raise ValueError(f"Expected {key} of [measured] as 3x3 numbers, got {value!r}.")
     return table
-
-
-def _usual_pixels(content: bytes, path: Path) -> Image | None:
-    """RGB pixels of a PNG or a JPEG of the usual kind; None for others, which OpenCV decodes."""
-    try:
-        if content.startswith(PNG):
-            return pixels_of_png(content)
-        return pixels_of_jpeg(content) if content.startswith(JPEG) and not is_gray_jpeg(content) else None
-    except ValueError as problem:
-        raise DataError(
-            f"{path} is truncated or damaged: {str(problem).rstrip('.')}. Copy or record it again."
-        ) from None
-
-
-def _decoded(content: bytes, path: Path) -> Array:
-    """Pixels in OpenCV's order (BGR). Python reads the bytes, so that names outside ASCII work on every system."""
-    if not content:
-        raise DataError(f"{path} is empty. Copy or record it again.")
-    try:
-        with _opencv_silent():
-            pixels = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error as problem:
-        raise DataError(f"{path} cannot be read as an image: {problem.err}.") from problem
-    if pixels is None:
-        if is_video(path) or path.suffix.lower() == ".mcap":
-            raise DataError(
-                f"Expected an image, got a video or a recording: {path}. Its frames: gelform batch."
-            )
-        raise DataError(
-            f"{path} is no image that can be read, or a damaged one. Expected one of "
-            f"{', '.join(suffix[1:].upper() for suffix in IMAGE_SUFFIXES)}.{way_for(path)}"
-        )
-    return np.asarray(pixels)
-
-
-@contextmanager
-def _opencv_silent() -> Iterator[None]:
-    """Silence OpenCV's own messages on the terminal; our error reports the fault. Wheels of 4.x lack this switch."""
-    logging = getattr(cv2.utils, "logging", None)
-    if logging is None:
-        yield
-        return
-    level = logging.getLogLevel()
-    logging.setLogLevel(logging.LOG_LEVEL_SILENT)
-    try:
-        yield
-    finally:
-        logging.setLogLevel(level)
 
 
 def read_background(paths: str | Path | Sequence[str | Path], *, bgr: bool = False) -> Array:

@@ -16,13 +16,13 @@ from gelform.foundations.files import way_for
 from gelform.image.view import Frame
 from gelform.sensors.files import (
     FILM_SUFFIXES,
-    IMAGE_SUFFIXES,
     images_of_stack,
     is_stack,
     is_video,
     read_image,
 )
 from gelform.sensors.mcap import Recording, is_bag_folder
+from gelform.sensors.pictures import IMAGE_SUFFIXES
 from gelform.sensors.playback import USUAL_RATE_HZ, Film, RecordingFacts
 
 

@@ -1,4 +1,4 @@
-"""Pictures from bytes and numbers: the declared size, complete JPEG, fast PNG, and values of a data set."""
+"""Pictures from bytes and numbers: what is taken and what is refused, whole JPEG, fast PNG, values of a data set."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -41,11 +43,6 @@ def pixels_of_jpeg(content: bytes, reduction: int = 1, *, strict: bool = True) -
     least = {"min_height": -(-height // reduction), "min_width": -(-width // reduction)}
     decoded = simplejpeg.decode_jpeg(content, min_factor=reduction, strict=strict, **least)
     return np.asarray(decoded, dtype=np.uint8)
-
-
-def is_gray_jpeg(content: bytes) -> bool:
-    """Whether a picture has one channel; ValueError if its header is damaged."""
-    return bool(simplejpeg.decode_jpeg_header(content)[2] == "Gray")
 
 
 def jpeg_shape(content: bytes) -> tuple[int, int] | None:
@@ -84,7 +81,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 _png_rows = Kernel("png_rows", "u8[h,r] rows, u8[n] zeros, out u8[h,n] pixels")
 
 
-def pixels_of_png(content: bytes) -> Image | None:
+def pixels_of_png(content: bytes | bytearray) -> Image | None:
     """RGB pixels (H, W, 3) of a PNG of 8-bit RGB without interlace and transparency; None for any other kind.
 
     Every chunk must match its checksum, up to the last one (PNG specification, section 5.3), and so must the compressed
@@ -116,7 +113,7 @@ def pixels_of_png(content: bytes) -> Image | None:
     return pixels.reshape(height, width, 3)
 
 
-def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
+def _chunks(content: bytes | bytearray) -> Iterator[tuple[bytes, bytes]]:
     """Kind and data of each chunk before the last one; ValueError if one is damaged or missing."""
     position, kind = len(PNG), b""
     while kind != b"IEND":
@@ -125,15 +122,15 @@ def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
         body = content[position + 4 : end - 4]
         if end > len(content) or zlib.crc32(body) != struct.unpack(">I", content[end - 4 : end])[0]:
             raise ValueError("a chunk of it does not match its checksum, or is missing")
-        kind, position = body[:4], end
-        yield kind, body[4:]
+        kind, position = bytes(body[:4]), end
+        yield kind, bytes(body[4:])
 
 
 MAX_PAGES = 10**6  # of a TIFF; 11 hours at 25 per second
 _PPM = re.compile(rb"P[36](?:\s+|#[^\n]*\n)+(\d{1,9})(?:\s+|#[^\n]*\n)+(\d{1,9})\s")
 
 
-def check_declared(content: bytes, most_pixels: float = MAX_PIXELS) -> None:
+def check_declared(content: bytes | bytearray, most_pixels: float = MAX_PIXELS) -> None:
     """Refuse a picture that declares too many pixels.
 
     ValueError: it declares more than `most_pixels`. A header that cannot be read is the decoder's to refuse.
@@ -148,7 +145,7 @@ def check_declared(content: bytes, most_pixels: float = MAX_PIXELS) -> None:
         )
 
 
-def declared_shape(content: bytes) -> tuple[int, int] | None:
+def declared_shape(content: bytes | bytearray) -> tuple[int, int] | None:
     """(H, W) from the header of a PNG, JPEG, BMP, TIFF, WebP or PPM; None for anything else.
 
     struct.error, IndexError: the header is cut.
@@ -157,12 +154,13 @@ def declared_shape(content: bytes) -> tuple[int, int] | None:
         width, height = struct.unpack_from(">II", content, 16)
         return height, width
     if content.startswith(JPEG):
-        return jpeg_shape(content)
+        return jpeg_shape(bytes(content))
     if content.startswith(b"BM"):
         width, height = struct.unpack_from("<ii", content, 18)
         return abs(height), abs(width)
-    if content.startswith((b"II*\0", b"MM\0*")):
-        return _of_tiff(content, "<" if content.startswith(b"II") else ">")
+    if content.startswith((b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")):
+        tags = _tiff_tags(content)
+        return tags.get(257, (0, 0))[0], tags.get(256, (0, 0))[0]
     if content[:4] == b"RIFF" and content[8:12] == b"WEBP":
         # One of three kinds: lossy, lossless, extended (WebP container specification).
         if content[12:16] == b"VP8 ":
@@ -176,16 +174,21 @@ def declared_shape(content: bytes) -> tuple[int, int] | None:
     return None if found is None else (int(found.group(2)), int(found.group(1)))
 
 
-def _of_tiff(content: bytes, order: str) -> tuple[int, int]:
-    """(H, W) from the tags 257 and 256 of the first directory (TIFF 6.0, section 8)."""
-    (start,) = struct.unpack_from(f"{order}I", content, 4)
-    (count,) = struct.unpack_from(f"{order}H", content, start)
-    sizes = {257: 0, 256: 0}
-    for at in range(start + 2, start + 2 + 12 * count, 12):
+def _tiff_tags(content: bytes | bytearray) -> dict[int, tuple[int, int]]:
+    """First value of each tag of the first directory, and the place of its bytes (TIFF 6.0, section 2; BigTIFF).
+
+    struct.error: it is cut.
+    """
+    order, big = "<" if content.startswith(b"II") else ">", content[2:4] in (b"+\0", b"\0+")
+    (start,) = struct.unpack_from(f"{order}{'Q' if big else 'I'}", content, 8 if big else 4)
+    (count,) = struct.unpack_from(f"{order}{'Q' if big else 'H'}", content, start)
+    step, first = (20, start + 8) if big else (12, start + 2)
+    tags: dict[int, tuple[int, int]] = {}
+    for at in range(first, min(first + step * count, len(content)), step):
         tag, kind = struct.unpack_from(f"{order}HH", content, at)
-        if tag in sizes:
-            (sizes[tag],) = struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", content, at + 8)
-    return sizes[257], sizes[256]
+        place = at + (12 if big else 8)
+        tags[tag] = struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", content, place)[0], place
+    return tags
 
 
 def tiff_pages(file: BinaryIO, most: int = MAX_PAGES) -> tuple[int, ...]:
@@ -217,23 +220,133 @@ def begin_tiff_at(content: bytearray, place: int) -> None:
     struct.pack_into(f"{order}{'Q' if big else 'I'}", content, 8 if big else 4, place)
 
 
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
+COLOR_FRAMES = "Save the camera's color frames."
+# What a picture may be that is no frame of a camera's red, green and blue with 8 bits each.
+REFUSED = {
+    "gray": f"Expected a color image, got a gray one: {{}}. Three lights need three channels. {COLOR_FRAMES}",
+    "palette": "Expected 8 bits for each of red, green and blue, got a palette of up to 256 colors: {}. Slopes are read "
+    "from small differences of color, which a palette rounds away. Save the camera's frames in full color.",
+    "inks": f"Expected red, green and blue, got another color space, such as that of print (CMYK): {{}}. {COLOR_FRAMES}",
+    "several": "Expected one image, got several, such as an animation: {}. Save each frame as an image, or all as a video.",
+    "deep": "Expected 8-bit color, got more or fewer bits in {}. Save the camera's frames with 8 bits per channel (0-255).",
+    "transparent": "Expected an image of three channels, got transparency (an alpha channel): {}. Save it without.",
+}
+
+
+def image_from_bytes(
+    content: bytes | bytearray,
+    name: str,
+    most_pixels: float = MAX_PIXELS,
+    *,
+    alone: bool = True,
+    hint: str = "",
+) -> Image:
+    """The pixels (H, W, 3) uint8 RGB of a PNG, JPEG, BMP, TIFF, WebP or PPM, as stored: an orientation tag is ignored.
+
+    Zeros or other bytes after its end are ignored. `name` stands for it in errors, `hint` follows those about bytes that
+    are no image. With `alone` a TIFF of several pages is refused.
+
+    DataError: it is empty, no image, truncated or damaged, declares more than `most_pixels`, or is one of `REFUSED`.
+    """
+    if not content:
+        raise DataError(f"{name} is empty. Copy or record it again.")
+    try:
+        check_declared(content, most_pixels)
+    except ValueError as problem:
+        raise DataError(f"{name}: {problem}. It is damaged, or no frame of this sensor.") from problem
+    try:
+        refused, usual = _refused_kind(content, alone), None
+        if refused is None and content.startswith(PNG):
+            usual = pixels_of_png(content)
+        elif refused is None and content.startswith(JPEG):
+            usual = pixels_of_jpeg(bytes(content))
+    except (ValueError, struct.error, IndexError) as problem:
+        why = str(problem).rstrip(".")
+        raise DataError(f"{name} is truncated or damaged: {why}. Copy or record it again.") from None
+    if refused is not None:
+        raise DataError(REFUSED[refused].format(name))
+    return _decoded(content, name, hint) if usual is None else usual
+
+
+def _refused_kind(content: bytes | bytearray, alone: bool) -> str | None:
+    """The key of `REFUSED` that a picture's header shows, or None; ValueError, struct.error, IndexError: it is damaged."""
+    if content.startswith(PNG):
+        kinds = {0: "gray", 3: "palette", 4: "gray"}  # PNG specification, 11.2.2
+        return "several" if 0 < content.find(b"acTL") < content.find(b"IDAT") else kinds.get(content[25])
+    if content.startswith(JPEG):
+        space = simplejpeg.decode_jpeg_header(bytes(content))[2]
+        return {"Gray": "gray", "CMYK": "inks", "YCCK": "inks"}.get(space)
+    if content.startswith(b"BM"):
+        return "palette" if struct.unpack_from("<H", content, 28)[0] <= 8 else None
+    if content[:4] == b"RIFF" and content[12:16] == b"VP8X":
+        return "several" if content[20] & 2 else None
+    if content.startswith((b"II", b"MM")):
+        if alone and len(tiff_pages(BytesIO(content), 2)) > 1:
+            return "several"
+        tags = _tiff_tags(content)
+        # Whether 0 is white or black, a palette, inks and others (TIFF 6.0, section 8).
+        kinds = {0: "gray", 1: "gray", 3: "palette", 5: "inks", 8: "inks", 9: "inks", 10: "inks"}
+        return kinds.get(tags.get(262, (2, 0))[0])
+    return None
+
+
+def _decoded(content: bytes | bytearray, name: str, hint: str) -> Image:
+    """The pixels of what OpenCV reads of the kinds that `image_from_bytes` takes."""
+    pixels, starts = (
+        None,
+        (PNG, JPEG, b"BM", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"RIFF", b"P6", b"P3", b"P5", b"P2"),
+    )
+    if content.startswith(starts):
+        if content.startswith((b"II", b"MM")) and (
+            place := _tiff_tags(content).get(274)
+        ):  # how it should be turned
+            content = bytearray(content)
+            struct.pack_into("<H" if content.startswith(b"II") else ">H", content, place[1], 1)
+        try:
+            with _opencv_silent():
+                pixels = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+        except cv2.error as problem:
+            raise DataError(f"{name} cannot be read as an image: {problem.err}.") from problem
+    if pixels is None:
+        kinds = ", ".join(suffix[1:].upper() for suffix in IMAGE_SUFFIXES)
+        raise DataError(
+            f"{name} is no image that can be read, or a damaged one. Expected one of {kinds}.{hint}"
+        )
+    channels = 1 if pixels.ndim == 2 else pixels.shape[2]
+    refused = "deep" if pixels.dtype != np.uint8 else "gray" if channels < 3 else None
+    if channels == 4 and (pixels[..., 3] != 255).any():
+        refused = "transparent"
+    if refused is not None:
+        raise DataError(REFUSED[refused].format(name))
+    return np.ascontiguousarray(pixels[..., 2::-1])
+
+
+@contextmanager
+def _opencv_silent() -> Iterator[None]:
+    """Silence OpenCV's own messages on the terminal; our error reports the fault. Wheels of 4.x lack this switch."""
+    logging = getattr(cv2.utils, "logging", None)
+    if logging is None:
+        yield
+        return
+    level = logging.getLogLevel()
+    logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        logging.setLogLevel(level)
+
+
 def image_from_values(values: Array | DataError, most_pixels: float = MAX_PIXELS) -> Image:
     """An RGB image (H, W, 3) uint8 from a dataset's values for one frame; DataError if they are no image.
 
     The values are (H, W, 3) or (3, H, W): uint8, whole numbers 0-255 as floats, or 0-1 as floats of such levels. Or (L,)
-    uint8: a JPEG or PNG, padded with zeros.
+    uint8: the bytes of a picture as in `image_from_bytes`, padded with zeros.
     """
     if isinstance(values, DataError):
         raise values
     if values.ndim == 1 and values.dtype == np.uint8:
-        try:
-            check_declared(values.tobytes(), most_pixels)
-        except ValueError as problem:
-            raise DataError(f"{problem}.") from problem
-        decoded = cv2.imdecode(values, cv2.IMREAD_COLOR) if len(values) else None
-        if decoded is None:
-            raise DataError("Expected a JPEG or PNG, got bytes that are no image.")
-        return np.ascontiguousarray(decoded[..., ::-1], dtype=np.uint8)
+        return image_from_bytes(values.tobytes(), "An encoded picture", most_pixels)
     if values.ndim == 3 and values.shape[2] != 3 and values.shape[0] == 3:
         values = np.ascontiguousarray(np.moveaxis(values, 0, 2))
     if values.ndim != 3 or values.shape[2] != 3:

@@ -13,14 +13,11 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, TypeVar
 
-import cv2
-import numpy as np
-
 from gelform.arrays import Image
 from gelform.errors import DataError, GelformError
 from gelform.foundations.files import FAST_PNG, picture_bytes
 from gelform.image.view import Frame, in_rgb
-from gelform.sensors.pictures import check_declared, image_from_jpeg
+from gelform.sensors.pictures import JPEG, check_declared, image_from_bytes, image_from_jpeg
 
 Own = TypeVar("Own", bound="Closing")
 USUAL_RATE_HZ = 25.0  # usual rate of videos and images without time stamps
@@ -73,15 +70,13 @@ def image_from_encoded(content: bytes, reduction: int, where: str) -> Image:
 
     DataError: the bytes are damaged.
     """
+    if not content.startswith(JPEG):
+        return image_from_bytes(content, where)
     try:
         check_declared(content)
     except ValueError as problem:
         raise DataError(f"{where}: {problem}. It is damaged.") from problem
-    if content.startswith(b"\xff\xd8"):
-        image = image_from_jpeg(content, reduction)
-    else:
-        pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR) if content else None
-        image = None if pixels is None else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), np.uint8)
+    image = image_from_jpeg(content, reduction)
     if image is None:
         raise DataError(f"{where} is damaged: its picture cannot be decoded.")
     return image

@@ -48,7 +48,6 @@ from gelform.foundations.files import (
 from gelform.image.view import Frame, View, image_from_frame, image_px_from_frame_px, rgb_from_bgr
 from gelform.sensors.files import (
     FILM_SUFFIXES,
-    IMAGE_SUFFIXES,
     SensorSettings,
     background_in,
     images_of_stack,
@@ -60,6 +59,7 @@ from gelform.sensors.files import (
 )
 from gelform.sensors.films import open_film
 from gelform.sensors.mcap import refuse_bag
+from gelform.sensors.pictures import IMAGE_SUFFIXES
 from gelform.sensors.profiles import PROFILES, profile_named
 
 __all__ = ["Press", "Presses", "as_presses", "kind_of_presses", "read_presses"]

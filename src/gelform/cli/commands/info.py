@@ -279,8 +279,9 @@ def _video(path: Path) -> dict[str, Any]:
 def _folder(path: Path) -> dict[str, Any]:
     """The facts of a bag or presses; for any other folder, the files that would make it a press folder."""
     from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses, rows_by_folder
-    from gelform.sensors.files import IMAGE_SUFFIXES, likely_background
+    from gelform.sensors.files import likely_background
     from gelform.sensors.mcap import is_bag_folder
+    from gelform.sensors.pictures import IMAGE_SUFFIXES
 
     if is_bag_folder(path):
         return _bag(path)
