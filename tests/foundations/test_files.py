@@ -10,12 +10,16 @@ Files are written whole or not at all, and an altered, cut or future one is refu
 """
 
 import csv
+import errno
 import io
 import json
 import os
+import stat
 import sys
+import threading
 import time
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
@@ -31,6 +35,7 @@ from gelform.foundations.files import (
     FAST_PNG,
     WAYS,
     bytes_of,
+    check_free,
     kind_of_npz,
     locked_folder,
     npz_bytes,
@@ -264,6 +269,92 @@ def test_an_existing_file_stays_unless_overwritten_and_a_failed_write_leaves_not
     assert [entry.name for entry in tmp_path.iterdir()] == ["x.npz"]
     write(path, overwrite=True)
     assert read(path)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pipes with a name")
+def test_only_files_are_replaced(tmp_path):
+    """A rename over a device takes the device from everyone."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "circle").symlink_to("circle")
+    (tmp_path / "to_pipe").symlink_to("pipe")
+    (tmp_path / "to_folder").symlink_to(tmp_path)
+    cases = ("pipe", "pipe"), ("to_pipe", "pipe"), ("circle", "circle of"), ("to_folder", "folder")
+    for overwrite in (False, True):
+        for name, said in cases:
+            with pytest.raises(DataError, match=f"Expected a file.*got the {said}"):
+                write(tmp_path / name, overwrite=overwrite)
+        with pytest.raises(DataError, match=r"got the device /dev/null\. Choose another name"):
+            check_free("/dev/null", overwrite=overwrite)
+        with pytest.raises(CalibrationError, match=r"Cannot write .*: File name too long"):
+            check_free(tmp_path / ("\u00e9" * 200), overwrite=overwrite, error=CalibrationError)
+    assert stat.S_ISFIFO(os.lstat(tmp_path / "pipe").st_mode)
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["circle", "pipe", "to_folder", "to_pipe"]
+
+
+def test_a_link_stays_and_its_target_is_replaced(tmp_path):
+    (tmp_path / "far").mkdir()
+    target, link, second = tmp_path / "far" / "x.npz", tmp_path / "link.npz", tmp_path / "second.npz"
+    try:
+        link.symlink_to("far/x.npz")
+        second.symlink_to("link.npz")
+    except OSError:
+        pytest.skip("this system makes no symbolic links")
+    for there in (False, True):
+        with pytest.raises(DataError, match="already there"):
+            write(second)
+        assert target.exists() == there
+        write(second, {"a": np.array(there)}, overwrite=True)
+        assert (os.readlink(link), os.readlink(second)) == ("far/x.npz", "link.npz")
+        assert read(target)[0]["a"] == there
+    assert [one.name for one in target.parent.iterdir()] == ["x.npz"]
+
+
+def refuses(*_):
+    raise OSError(errno.EPERM, "Operation not permitted")
+
+
+@pytest.mark.parametrize("links", [True, False], ids=["hard links", "none"])
+def test_one_of_all_who_write_is_told_so(tmp_path, monkeypatch, links):
+    if not links:
+        monkeypatch.setattr(os, "link", refuses)
+    tries, threads = 40, 3
+    together, refused = threading.Barrier(threads, timeout=60), []
+
+    def checked_by_all(*given, **settings):
+        """All have seen a free name before anyone takes it."""
+        target = check_free(*given, **settings)
+        together.wait()
+        return target
+
+    monkeypatch.setattr(files, "check_free", checked_by_all)
+
+    def told(number):
+        done = set()
+        for k in range(tries):
+            try:
+                with written_file(tmp_path / f"{k}", flushed=False) as handle:
+                    handle.write(b"%d" % number)
+                done.add(k)
+            except DataError as problem:
+                refused.append(str(problem))
+        return done
+
+    with ThreadPoolExecutor(threads) as pool:
+        done = list(pool.map(told, range(threads)))
+    assert sorted(k for one in done for k in one) == list(range(tries))
+    assert len(refused) == tries * (threads - 1)
+    assert all("already there" in one for one in refused)
+    for number, of in enumerate(done):
+        assert {(tmp_path / f"{k}").read_bytes() for k in of} <= {b"%d" % number}
+    assert len(list(tmp_path.iterdir())) == tries
+
+
+def test_a_name_that_is_taken_is_given_back_if_the_rename_fails(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "link", refuses)
+    monkeypatch.setattr(os, "replace", refuses)
+    with pytest.raises(DataError, match=r"Operation not permitted\. Nothing of it was kept"):
+        write(tmp_path / "x.npz")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_full_disk_is_said_and_leaves_nothing(tmp_path):

@@ -52,13 +52,15 @@ def check_results(results: Sequence[Path], *, overwrite: bool, protected: Sequen
 
     Temporary files of killed runs are deleted there.
     """
-    from gelform.foundations.files import sweep
+    from gelform.foundations.files import check_free, sweep
 
     inputs = {os.path.realpath(path) for path in protected}
     clashing = [path for path in results if os.path.realpath(path) in inputs]
     if clashing:
         raise DataError(f"The result {clashing[0]} would replace an input. Choose another folder with -o.")
     there = [path for path in results if os.path.lexists(path)]
+    for path in there:
+        check_free(path, overwrite=True)
     if there and not overwrite:
         more = f" and {len(there) - 1} more" if len(there) > 1 else ""
         raise DataError(f"{there[0]} is already there{more}. Choose another place, or allow --overwrite.")
@@ -92,8 +94,6 @@ def check_output(path: Path, *, overwrite: bool) -> None:
     Temporary files of killed runs in that folder are deleted. DataError: the name is a folder's, the file exists (unless
     `overwrite`), or nothing can be written there.
     """
-    if path.is_dir():
-        raise DataError(f"Expected a file name, got the folder {path}. Add a name: {path / 'name'}.")
     check_results([path], overwrite=overwrite)
     _check_room(make_folder(path.parent))
 

@@ -14,6 +14,7 @@ import json
 import os
 import re
 import shutil
+import stat
 import time
 import tokenize
 import zipfile
@@ -190,15 +191,14 @@ def written_file(
 ) -> Iterator[BinaryIO]:
     """Open a file for writing that appears under its name only if the block succeeds.
 
-    The bytes go to a temporary file in the same folder, which replaces `path` in one step. If anything
+    The bytes go to a temporary file in the same folder, which gets the name in one step (`named_file`). If anything
     fails (disk full, an exception in the block), the temporary file is deleted and the file at `path` stays.
     Without `flushed`, a loss of power may lose the file until the system has written it to the disk.
 
-    error: the file exists and `overwrite` is False, or its folder is missing, not writable or full.
+    error: as `check_free`; or the folder is not writable or full.
     """
-    path = check_path(path)
-    check_free(path, overwrite=overwrite, error=error)
-    temporary = path.parent / f".gelform-{os.urandom(6).hex()}.tmp"
+    target = check_free(path, overwrite=overwrite, error=error)
+    temporary = target.parent / f".gelform-{os.urandom(6).hex()}.tmp"
     try:
         with open(temporary, "x+b") as handle:
             locked(handle.fileno())
@@ -208,15 +208,48 @@ def written_file(
                 os.fsync(handle.fileno())
             with suppress(OSError):  # a file system without times
                 os.utime(temporary)  # the file has no lock from now on; `sweep` leaves it alone for a minute
-        if not overwrite:  # another process may have been faster
-            check_free(path, overwrite=False, error=error)
-        os.replace(temporary, path)
+        named_file(temporary, path, overwrite=overwrite, error=error)
     except BaseException as problem:
         temporary.unlink(missing_ok=True)
         if not isinstance(problem, OSError):
             raise
         why = f"Cannot write {path}: {problem.strerror or problem}. Nothing of it was kept."
         raise error(why) from problem
+
+
+def named_file(
+    temporary: Path, path: str | os.PathLike[str], *, overwrite: bool, error: type[GelformError] = DataError
+) -> None:
+    """Give a finished file its name in the same folder, in one step; without `overwrite`, one of all who try succeeds.
+
+    error: as `check_free`. OSError: the system refuses; the temporary file is still there then.
+    """
+    target = check_free(path, overwrite=overwrite, error=error)  # again: the work took time
+    if overwrite:
+        os.replace(temporary, target)
+        return
+    try:
+        os.link(temporary, target)  # a rename would replace what another process has just written
+    except FileExistsError:
+        raise _taken(target, error) from None
+    except OSError:  # a file system without hard links, or one that is full
+        try:
+            target.open("xb").close()
+        except FileExistsError:
+            raise _taken(target, error) from None
+        try:
+            os.replace(temporary, target)
+        except OSError:
+            target.unlink(missing_ok=True)
+            raise
+    else:
+        temporary.unlink()
+
+
+def _taken(path: Path, error: type[GelformError]) -> GelformError:
+    return error(
+        f"{path} is already there. Choose another name, or allow it to be replaced: overwrite=True (--overwrite)."
+    )
 
 
 def locked(descriptor: int) -> bool:
@@ -288,17 +321,40 @@ def made_folder(folder: Path) -> Path:
 
 def check_free(
     path: str | os.PathLike[str], *, overwrite: bool, error: type[GelformError] = DataError
-) -> None:
-    """Refuse a name that a file already has (unless `overwrite`), or whose folder is missing."""
+) -> Path:
+    """The file that a name stands for, if one may be written there: the target of a symbolic link, else the name's own.
+
+    error: a file or a link has the name already (unless `overwrite`); it is a folder, a device, a pipe or a socket; its
+    folder is missing.
+    """
     path = check_path(path)
-    if path.is_dir():
+    with cannot(f"write {path}", error=error):
+        # A link of links that leads to itself stays one.
+        target = Path(os.path.realpath(path)) if path.is_symlink() else path
+        if not target.parent.is_dir():
+            folder = target.parent
+            raise error(f"Cannot write {path}: its folder {folder} does not exist. Make it first.")
+        kind = stat.S_IFMT(target.lstat().st_mode) if os.path.lexists(target) else None
+    if kind == stat.S_IFDIR:
         raise error(f"Expected a file name to write to, got the folder {path}. Add a name: {path / 'name'}.")
-    if path.exists() and not overwrite:
+    if kind not in (None, stat.S_IFREG):
+        what = _KINDS.get(kind, "special file")
         raise error(
-            f"{path} is already there. Choose another name, or allow it to be replaced: overwrite=True (--overwrite)."
+            f"Expected a file or a free name to write to, got the {what} {path}. Choose another name, and copy the file "
+            "from there."
         )
-    if not path.parent.is_dir():
-        raise error(f"Cannot write {path}: its folder {path.parent} does not exist. Make it first.")
+    if os.path.lexists(path) and not overwrite:
+        raise _taken(path, error)
+    return target
+
+
+_KINDS = {
+    stat.S_IFCHR: "device",
+    stat.S_IFBLK: "device",
+    stat.S_IFIFO: "pipe",
+    stat.S_IFSOCK: "socket",
+    stat.S_IFLNK: "circle of symbolic links",
+}
 
 
 def write_npz(

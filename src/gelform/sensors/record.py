@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import tempfile
 import threading
 import time
@@ -17,8 +16,8 @@ import numpy as np
 
 from gelform import Calibration, DataError, Frame, GelformError, Grabber, __version__, load_calibration
 from gelform.arrays import Map
-from gelform.errors import Progress, no_progress
-from gelform.foundations.files import check_free, picture_bytes
+from gelform.errors import Progress, cannot, no_progress
+from gelform.foundations.files import check_free, named_file, picture_bytes
 from gelform.sensors.mcap import McapRecording, is_bag_folder, mcap_file_in, mcap_records
 from gelform.sensors.playback import (
     ATTACHABLE,
@@ -285,7 +284,8 @@ def share(
                 frame = recording[number]
                 stamp = frame.wall_time_ns or now_ns + round(1e9 * time_s)
                 out.write(Frame(frame.image, time_s, stamp, number, frame.encoded))
-        os.replace(unfinished, path)
+        with cannot(f"write {path}"):
+            named_file(unfinished, path, overwrite=False)
     finally:
         unfinished.unlink(missing_ok=True)
     return path

@@ -108,7 +108,7 @@ def test_a_result_as_a_surface(run, fails, result_file):
     assert run("export", result_file, "--to", "tiff")[0] == 0
     assert result_file.with_suffix(".tiff").is_file()
     assert load_result(result_file).mm_per_px
-    assert "is there already" in fails("export", result_file, "--to", "tiff")
+    assert "is already there" in fails("export", result_file, "--to", "tiff")
     assert run("export", result_file, "--to", "tiff", "--overwrite")[0] == 0
     assert "Expected a calibration to write for taxim" in fails("export", result_file, "--to", "taxim")
 

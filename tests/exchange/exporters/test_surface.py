@@ -113,7 +113,7 @@ def test_what_cannot_be_written_is_said(result, tmp_path):
         (result, "bump.obj", ValueError, r"\.obj"),
         (replace(result, mm_per_px=None), "bump.tiff", DataError, "mm_per_px"),
         (replace(result, depth=result.depth * 10), "bump.png", DataError, "16 bits"),
-        (result, "there.tiff", DataError, "is there already"),
+        (result, "there.tiff", DataError, "is already there"),
     ):
         with pytest.raises(error, match=said):
             save_surface(one, tmp_path / name)

@@ -147,12 +147,9 @@ def save_surface(result: Reconstruction, path: str | PathLike[str], *, overwrite
         raise ValueError(f"Expected a name that ends in {', '.join(SURFACES)}, got {path.name}.")
     if result.mm_per_px is None:
         raise DataError(f"Expected a result in mm to write {path.name}, got one without mm_per_px.")
-    if path.exists() and not overwrite:
-        raise DataError(f"{path} is there already. Choose another name, or overwrite.")
-    content = SURFACES[path.suffix.lower()](result)
     made_folder(path.parent)
     with written_file(path, overwrite=overwrite) as file:
-        file.write(content)
+        file.write(SURFACES[path.suffix.lower()](result))
     return path
 
 
