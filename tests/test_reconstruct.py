@@ -1,10 +1,13 @@
 """The Reconstructor: a pure function of the image, zero at rest, two doors, and honest about its input."""
 
+import gc
 import pickle
 import shutil
 import subprocess
 import sys
 import time
+import tracemalloc
+import weakref
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -19,6 +22,7 @@ from gelform.image.view import Frame, View
 from gelform.reconstruct import ON_DEMAND, FromCalibration
 from gelform.result.maps import MAPS
 from gelform.simulate import Ball, Punch, simulate_press
+from made import small_gel
 from made.images import grid, image_of_dots
 
 FLIP_TOML = 'name = "turned"\nmm_per_px = {:.6f}\n[view]\nflip = "x"\n'
@@ -50,6 +54,51 @@ def test_what_is_not_asked_for_is_not_computed(calibration, press, monkeypatch):
     assert (copy.index, result.index) == (7, None)
     assert copy.contact is result.contact
     assert len(made) == 1
+
+
+@pytest.mark.parametrize("asked", [ON_DEMAND, ON_DEMAND[::-1]], ids=["forward", "backward"])
+def test_the_frame_goes_with_the_last_that_follows_from_it(asked):
+    """A kept result keeps its maps; the image and the slopes are gone, differences have a sigma still."""
+    reconstruct = gelform.Reconstructor(small_gel.calibration())  # of a model that gives the albedo
+    image = small_gel.image_of(small_gel.Touch())
+    wanted, wanted_record = reconstruct.from_image(image), reconstruct.record(image)
+    maps = {name: getattr(wanted, name) for name in ON_DEMAND}
+    record = reconstruct.record(image)
+    result, gone = reconstruct.result(record), [weakref.ref(one) for one in (record, record.seen.raw)]
+    copy = result.changed(index=7)
+    del record
+    for name in asked:
+        assert all(one() is not None for one in gone), name
+        np.testing.assert_array_equal(getattr(result, name), maps[name], err_msg=name)
+    gc.collect()
+    assert all(one() is None for one in gone)
+    for one in (result, copy):
+        sigma = wanted_record.difference_sigma(wanted.contact)
+        np.testing.assert_array_equal(one.depth_difference_sigma(), sigma)
+        np.testing.assert_array_equal(one.albedo, wanted.albedo)
+        assert_same(one, wanted)
+
+
+def test_a_kept_result_holds_what_its_pickle_does():
+    """And the errors of depth on their coarse grid: less than one more map."""
+    reconstruct = gelform.Reconstructor(small_gel.calibration())
+    image, results = small_gel.image_of(small_gel.Touch()), []
+
+    def one_more():
+        results.append(result := reconstruct.from_image(image))
+        assert all(getattr(result, name) is not None for name in (*ON_DEMAND, "albedo"))
+        result.depth_difference_sigma()
+
+    one_more()  # what is prepared once
+    gc.collect()
+    tracemalloc.start()
+    for _ in range(4):
+        one_more()
+    gc.collect()
+    held = tracemalloc.get_traced_memory()[0] / 4
+    tracemalloc.stop()
+    one_map = results[-1].albedo.nbytes
+    assert held < len(pickle.dumps(results[-1])) + one_map + one_map
 
 
 def test_the_order_of_questions_and_what_the_caller_writes_change_nothing(calibration, press):

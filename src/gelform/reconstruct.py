@@ -271,17 +271,26 @@ class FrameRecord:
         """Mean color change inside the contact."""
         return self.color_changes[1]
 
-    def difference_sigma(self, region: Mask) -> Map:
-        """Standard deviation (H, W), mm, of the depth minus its mean over a region (H, W)."""
+    @once
+    def difference_sigma(self) -> Callable[[Mask], Map]:
+        """Gives the standard deviation (H, W), mm, of the depth minus its mean over a region (H, W)."""
         assert self.depth_errors is not None
-        return self._widened(self.depth_errors.difference_sigma(region))
+        return partial(_difference_sigma, self.depth_errors, self._widened)
 
-    def _widened(self, sigma: Any) -> Any:
-        """A standard deviation of depth (H, W), or None, that knows nothing of lost pixels."""
-        lost = self.seen.faults.lost
-        if sigma is not None and lost is not None:
-            np.maximum(sigma, np.float32(self.fixed.limit.ignorance_mm), out=sigma, where=lost)
-        return sigma
+    @property
+    def _widened(self) -> Callable[[Any], Any]:
+        return partial(_widened, self.seen.faults.lost, self.fixed.limit.ignorance_mm)
+
+
+def _difference_sigma(errors: DepthErrors, widened: Callable[[Map], Map], region: Mask) -> Map:
+    return widened(errors.difference_sigma(region))
+
+
+def _widened(lost: Mask | None, ignorance_mm: float, sigma: Any) -> Any:
+    """A standard deviation of depth (H, W), or None, that knows nothing of lost pixels."""
+    if sigma is not None and lost is not None:
+        np.maximum(sigma, np.float32(ignorance_mm), out=sigma, where=lost)
+    return sigma
 
 
 class Reconstructor:
@@ -460,9 +469,13 @@ class Reconstructor:
         return slopes, reference.findings
 
     def result(self, record: FrameRecord) -> Reconstruction:
-        """The result of a record: its depth, and the rest on first use."""
+        """The result of a record: its depth, and the rest on first use; the record goes with the last of it."""
         lock, calibration, slopes = RLock(), self.calibration, record.slopes
         later: dict[str, Any] = {name: Later(partial(getattr, record, name), lock) for name in ON_DEMAND}
+        difference = Later(partial(getattr, record, "difference_sigma"), lock)
+        states_sigma = record.fixed.depth_sigma is not None
+        if states_sigma:  # both follow from the same errors; differences need the record no longer then
+            later["depth_sigma_mm"] = Later(lambda: difference() and record.depth_sigma_mm, lock)
         own = record.depth_mm.copy()  # the caller's to write to; the record's stays
         slopes.gradients.flags.writeable = False
         return Reconstruction(
@@ -475,8 +488,8 @@ class Reconstructor:
             markers=record.seen.flow,
             calibration_digest=calibration.digest,
             force_model=calibration.force,
-            albedo_source=record.albedo,
-            difference_source=None if record.fixed.depth_sigma is None else record.difference_sigma,
+            albedo_source=record.albedo and Later(record.albedo).__call__,
+            difference_source=(lambda region: difference()(region)) if states_sigma else None,
             **later,
         )
 

@@ -124,7 +124,7 @@ class DepthErrors:
         steep = self.slopes_off[2:4]
         return self._integrated(steep) if steep.any() else np.zeros_like(self.spread)
 
-    @cached_property
+    @property
     def local_variance(self) -> Map:
         """Variance at every pixel (H, W), without what is common."""
         return self.coarse.at_pixels(self._with(self.own, self.spread))
