@@ -17,6 +17,7 @@ from gelform.errors import CalibrationError, Finding
 from gelform.foundations.checks import (
     check_choice,
     check_gel_thickness,
+    check_gradients,
     check_image,
     check_mm_per_px,
     check_positive,
@@ -244,10 +245,11 @@ class Calibration:
                 "forward response: what color a slope gives is not known. Calibrate on presses of a ball."
             )
         height, width = self.image_shape
-        if (given := np.shape(gradients)) != (height, width, 2):
-            raise ValueError(f"Expected gradients of shape ({height}, {width}, 2), got {given}.")
+        slopes = check_gradients(gradients, shape=(height, width), dtype=np.float64)
+        if slopes.ndim != 3:
+            raise ValueError(f"Expected gradients of shape ({height}, {width}, 2), got {slopes.shape}.")
         y, x = (axis.ravel() for axis in np.mgrid[:height, :width])
-        change = self.forward.color_from_gradients(np.reshape(gradients, (-1, 2)), x, y)
+        change = self.forward.color_from_gradients(slopes.reshape(-1, 2), x, y)
         return change.reshape(height, width, 3).astype(np.float32)
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:

@@ -344,12 +344,9 @@ def check_weights(weights: Any, shape: tuple[int, ...]) -> Weights:
     ValueError, TypeError: another shape, or a value that is negative or not finite.
     """
     height, width = shape[-2:]
-    if (
-        isinstance(weights, (tuple, list))
-        and len(weights) == 2
-        and np.ndim(weights[0]) == np.ndim(weights[1]) == 2
-    ):
-        wx, wy = (np.asarray(w) for w in weights)
+    pair = [as_array(w, "weights") for w in weights] if isinstance(weights, (tuple, list)) else []
+    if len(pair) == 2 and pair[0].ndim == pair[1].ndim == 2:
+        wx, wy = pair
         if wx.shape != (height, width - 1) or wy.shape != (height - 1, width):
             raise ValueError(
                 f"Expected weights per edge of shapes ({height}, {width - 1}) and ({height - 1}, {width}), "

@@ -1,4 +1,7 @@
-"""Checks of shapes, dtypes and ranges: every public function checks its arguments here, once."""
+"""Checks of shapes, dtypes and ranges: every public function checks its arguments here, once.
+
+Arrays that pass are in C order and of the machine's bytes, whatever view of whatever array was given.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,8 @@ LARGEST = 1e18  # its squares, and sums of those, fit into float32
 def as_array(values: ArrayLike, name: str) -> Array:
     """The values as an array, whatever its type; refused if they are no rectangle of values, or partly masked.
 
-    ValueError: rows of different lengths, or masked values; a separate mask marks unknown values. TypeError: a path.
+    ValueError: rows of different lengths, or masked values; a separate mask marks unknown values. TypeError: a path, or an
+    object that fails to become an array; what it raised is the cause.
     """
     if isinstance(values, (str, PathLike)):
         raise TypeError(
@@ -40,10 +44,15 @@ def as_array(values: ArrayLike, name: str) -> Array:
         )
     try:
         return np.asarray(values)
-    except (ValueError, TypeError, OverflowError):
-        raise ValueError(
-            f"Expected {name} as an array, got a {type(values).__name__} of unequal parts."
-        ) from None
+    except MemoryError:
+        raise
+    except Exception as problem:  # of numpy, or of the object's own conversion
+        kind = type(values).__name__
+        if isinstance(values, (list, tuple)) and isinstance(problem, (ValueError, TypeError, OverflowError)):
+            raise ValueError(f"Expected {name} as an array, got a {kind} of unequal parts.") from problem
+        raise TypeError(
+            f"Expected {name} as an array, got {kind}, which does not become one: {problem!r:.200}. Convert it first."
+        ) from problem
 
 
 def check_values(
@@ -62,7 +71,7 @@ def check_values(
 
 
 def check_image(image: ArrayLike, *, shape: tuple[int, int] | None = None, name: str = "image") -> Array:
-    """Return an RGB image (H, W, 3): uint8 as it is, float (0-255) as float32.
+    """Return an RGB image (H, W, 3) in C order: uint8 as it is, float (0-255) as float32.
 
     TypeError: the array is neither uint8 nor float.
     ValueError: wrong shape, a gray image, a value that is not finite or outside 0-255, or floats that look like 0-1.
@@ -83,7 +92,7 @@ def check_image(image: ArrayLike, *, shape: tuple[int, int] | None = None, name:
             f"Expected {name} of {shape[0]}x{shape[1]} px (height x width), got {array.shape[0]}x{array.shape[1]}."
         )
     if array.dtype == np.uint8:
-        return array
+        return np.ascontiguousarray(array)
     if not np.issubdtype(array.dtype, np.floating):
         raise TypeError(
             f"Expected {name} as uint8 or float (0-255), got {array.dtype}. "
@@ -97,7 +106,7 @@ def check_image(image: ArrayLike, *, shape: tuple[int, int] | None = None, name:
             f"Expected {name} within 0-255, got float values up to {high:g}, which looks like a 0-1 range. "
             "Multiply by 255."
         )
-    return array.astype(np.float32, copy=False)
+    return np.ascontiguousarray(array, dtype=np.float32)
 
 
 def check_gradients(
@@ -153,7 +162,7 @@ def check_map(
 def check_mask(
     mask: ArrayLike, *, shape: tuple[int, int], name: str = "mask", may_be_empty: bool = False
 ) -> Mask:
-    """Return a boolean mask (H, W) with at least one True pixel, unless it may be empty."""
+    """Return a boolean mask (H, W) in C order with at least one True pixel, unless it may be empty."""
     array = as_array(mask, name)
     if array.dtype != np.bool_:
         raise TypeError(f"Expected {name} as bool, got {array.dtype}. Convert it: {name} > 0.")
@@ -161,7 +170,7 @@ def check_mask(
         raise ValueError(f"Expected {name} of shape ({shape[0]}, {shape[1]}), got {array.shape}.")
     if not (may_be_empty or array.any()):
         raise ValueError(f"Expected {name} with at least one True pixel, got none.")
-    return array
+    return np.ascontiguousarray(array)
 
 
 def check_finite(array: Array, name: str) -> Array:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.arrays import Array, Map, Numbers
-from gelform.foundations.checks import check_choice, check_image, check_is, check_number
+from gelform.foundations.checks import as_array, check_choice, check_image, check_is, check_number
 
 # Gray levels, of means of pixels: a channel below or above says nothing of slopes, at either end of a camera's range.
 DARK, BRIGHT = 8, 250
@@ -429,7 +429,7 @@ def _maps_to_image(view: View) -> tuple[tuple[slice, slice], tuple[int, int], Ma
 
 def frame_px_from_image_px(points_px: ArrayLike, view: View) -> Numbers:
     """Positions (N, 2) in the frame, px, of points of the image, x and y."""
-    points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
+    points = np.asarray(as_array(points_px, "points_px"), dtype=np.float64).reshape(-1, 2)
     if view.is_identity:
         return points
     if view.turn != "none":
@@ -444,7 +444,7 @@ def frame_px_from_image_px(points_px: ArrayLike, view: View) -> Numbers:
 
 def image_px_from_frame_px(points_px: ArrayLike, view: View) -> Numbers:
     """Positions (N, 2) in the image, px, of points of the frame: the inverse of `frame_px_from_image_px`."""
-    points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
+    points = np.asarray(as_array(points_px, "points_px"), dtype=np.float64).reshape(-1, 2)
     if view.is_identity:
         return points
     if view.turn != "none":

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.errors import DataError, Progress
-from gelform.foundations.checks import check_is
+from gelform.foundations.checks import check_image, check_is
 from gelform.image.background import trimmed_mean
 from gelform.image.view import Frame, View, image_from_frame, in_rgb
 from gelform.sensors.films import Video
@@ -280,7 +280,7 @@ class _Images:
         for position, frame in enumerate(self._frames):
             check_is(frame, Frame, "each frame")
             if only is None or position in only:
-                yield replace(frame, index=position)
+                yield replace(frame, index=position, image=check_image(frame.image, name="each frame"))
 
     def _through_view(self, frame: Frame) -> Frame:
         height, width = frame.image.shape[:2]

@@ -29,7 +29,14 @@ from gelform.arrays import Array, Floats, Map, Mask, Numbers
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import CalibrationError, DataError, needed
 from gelform.exchange.exporters.press_folder import written_whole
-from gelform.foundations.checks import check_choice, check_is, check_mm_per_px, check_path, check_values
+from gelform.foundations.checks import (
+    as_array,
+    check_choice,
+    check_is,
+    check_mm_per_px,
+    check_path,
+    check_values,
+)
 from gelform.foundations.files import made_folder, picture_bytes, written_file
 from gelform.image.background import image_from_color_change
 from gelform.result import Reconstruction
@@ -46,7 +53,7 @@ def levels_from_depth(depth_mm: ArrayLike, known: ArrayLike | None = None) -> ND
     """
     exact = np.float32 if getattr(depth_mm, "dtype", None) == np.float32 else np.float64
     depth = check_values(depth_mm, "depth_mm", (), exact)
-    mask = np.ones(depth.shape, dtype=bool) if known is None else np.asarray(known)
+    mask = np.ones(depth.shape, dtype=bool) if known is None else as_array(known, "known")
     if mask.dtype != np.bool_ or mask.shape != depth.shape:
         raise ValueError(f"Expected known as bool of shape {depth.shape}, got {mask.dtype} of {mask.shape}.")
     levels = np.divide(depth, MM_PER_LEVEL, dtype=np.float64)
