@@ -24,7 +24,7 @@ from accuracy.real import calibrated, few, real, sigma
 from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
 from gelform.image.background import ChangeSettings
 from gelform.simulate import LAYOUTS, Ball, Coin, Punch, Screw, simulate_ball_presses, simulate_press
-from presses import DATA, data_is_missing, mini_ball, presses_of, unlabeled
+from presses import DATA, data_is_missing, depth_by, mini_ball, presses_of, unlabeled
 from report import command_line, parts_asked, recorded, table, write
 from scenes import BUMP, PLANE, SCENES, ball, scene
 
@@ -169,7 +169,6 @@ def simulated() -> dict[str, Any]:
         )
         calibration = gelform.calibrate(unlabeled(presses_of(presses)))
         reconstruct = gelform.Reconstructor(calibration)
-        without = gelform.Reconstructor(calibration, solver="dct")
         objects = {
             "ball": (Ball(3.0), 0.6, (0.0, 0.0)),
             "coin": (Coin(), 0.35, (0.0, 0.0)),
@@ -184,7 +183,7 @@ def simulated() -> dict[str, Any]:
             press = simulate_press(sensor, indenter, depth_mm=depth_mm, center_mm=center, rng=rng)
             result = reconstruct.from_image(press.image)
             error = 1e3 * (result.depth_mm - press.depth_mm)
-            plain = 1e3 * (without.from_image(press.image).depth_mm - press.depth_mm)
+            plain = 1e3 * (depth_by("dct", reconstruct, press.image) - press.depth_mm)
             within = np.abs(error) < 1e3 * result.depth_sigma_mm
             found = {
                 "rmse_um": float(np.sqrt(np.mean(error**2))),

@@ -28,7 +28,7 @@ from gelform.calibration.circles.find import ColorChanges, find_contact, why_no_
 from gelform.result.metrics import fit_sphere
 from gelform.sensors.files import read_background
 from gelform.simulate import LAYOUTS, simulate_ball_presses
-from presses import DATA, by_name, data_is_missing, presses_of
+from presses import DATA, by_name, data_is_missing, depth_by, presses_of
 from report import command_line, parts_asked, recorded, table, write
 
 REPORTED = ("ring-120", "homemade")
@@ -91,13 +91,12 @@ def weights(run: Run) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name in REPORTED:
         calibration, rng = run.calibration(name), np.random.default_rng(SEED + 1)
-        with_weights = gelform.Reconstructor(calibration)
-        without = gelform.Reconstructor(calibration, solver="dct")
+        reconstruct = gelform.Reconstructor(calibration)
         errors = []
         for _ in range(run.frames(20)):
             truth = press(name, rng)
             image = faults.saturated(faults.shadow(faults.shadow(truth.image, rng), rng), rng)
-            depths = [one.from_image(image).depth_mm for one in (with_weights, without)]
+            depths = [depth_by(solver, reconstruct, image) for solver in ("multigrid", "dct")]
             errors.append([1e3 * np.sqrt(np.mean((z - truth.depth_mm) ** 2)) for z in depths])
         rms = np.sqrt(np.mean(np.square(errors), axis=0))
         found[name] = {
@@ -112,13 +111,13 @@ def weights(run: Run) -> dict[str, Any]:
 def digit(run: Run) -> dict[str, Any]:
     """Distance to the sphere fitted in the contact, and depth off it, over those of the solver without weights."""
     calibration, (_, test) = run.calibration("digit-ball"), _real_presses("digit-ball")
-    runs = [gelform.Reconstructor(calibration, solver=s) for s in ("auto", "dct")]
-    changes = ColorChanges(runs[0].background, calibration.change)
+    reconstruct = gelform.Reconstructor(calibration)
+    changes = ColorChanges(reconstruct.background, calibration.change)
     rows = []
     for one in test.presses[:: 10 if run.quick else 1]:
         contact = find_contact(changes(one.image)[0])
         if why_no_contact(contact) is None:
-            depths = [reconstruct.from_image(one.image).depth_mm for reconstruct in runs]
+            depths = [depth_by(solver, reconstruct, one.image) for solver in ("multigrid", "dct")]
             rows.append([_sphere_um(z, contact.circle_px, one, calibration.mm_per_px) for z in depths])
     mean = np.mean(rows, axis=0)
     return {

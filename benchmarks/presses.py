@@ -8,9 +8,15 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 import gelform
 from gelform.calibration.presses.press_set import Presses
+from gelform.depth.coarse import RestAnchor
+from gelform.depth.solvers import SOLVERS
 from gelform.simulate import SimulatedPresses
 
 DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -42,6 +48,19 @@ def mini_ball() -> tuple[Presses, list[int]]:
     presses, circles = gelform.read_presses(DATA / "mini-ball"), reference_circles()
     labeled = tuple(replace(p, label=circles[p.name]) for p in presses.presses)
     return replace(presses, presses=labeled), by_name(presses)
+
+
+def depth_by(solver: str, reconstruct: gelform.Reconstructor, image: NDArray[Any]) -> NDArray[np.float32]:
+    """Depth (H, W), mm, of an image by another solver than a frame's, with weights and anchor if it takes them."""
+    record = reconstruct.record(image)
+    slopes, fixed = record.slopes, record.fixed
+    how: dict[str, Any] = {"zero": slopes.at_rest}
+    if SOLVERS[solver].takes_weights:
+        sigma = fixed.slope_sigma.full_confidence_sigma
+        anchor = RestAnchor(slopes.at_rest.shape, fixed.pitch, sigma)(slopes.gradients, slopes.at_rest)
+        how = {"weights": slopes.weights(sigma), "anchor": anchor}
+    depth = gelform.depth_from_gradients(slopes.gradients, mm_per_px=fixed.pitch, solver=solver, **how)
+    return fixed.limit.bound(depth)[0]
 
 
 def by_name(presses: Presses) -> list[int]:

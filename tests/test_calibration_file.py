@@ -88,7 +88,7 @@ def test_the_first_format_is_read():
     first = gelform.load_calibration(DATA / "calibration-version-1.npz")
     assert (first.color_model.name, first.forward.step_sigma) == ("lambertian", (0.02, 0.05))
     touch = small_gel.Touch()
-    result = gelform.Reconstructor(first, solver="dct")(small_gel.image_of(touch))
+    result = gelform.Reconstructor(first)(small_gel.image_of(touch))
     assert small_gel.depth_error(result.depth_mm, touch) is None
     assert result.depth_mm.max() == pytest.approx(0.3985, abs=5e-4)
 

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform.depth.coarse import RestAnchor
 from gelform.depth.sigma import DepthSigma
 from gelform.image.view import Frame, View
 from gelform.reconstruct import ON_DEMAND, FromCalibration
@@ -184,7 +185,7 @@ def test_slopes_are_those_of_the_depth_and_better_than_those_read(calibration, s
 def test_a_step_takes_the_depth_of_what_is_not_hidden(calibration, press):
     """Slopes of hidden pixels would be in the depth of the whole frame, and that in all steps."""
     fixed, read = (
-        FromCalibration(calibration, "auto"),
+        FromCalibration(calibration),
         gelform.Reconstructor(calibration)(press.image).gradients,
     )
     change, hidden = calibration.color_from_gradients(read), np.zeros(read.shape[:2], dtype=bool)
@@ -199,7 +200,7 @@ def test_a_step_takes_the_depth_of_what_is_not_hidden(calibration, press):
     flat = fixed.step(change, read, np.zeros(hidden.shape, np.float32), None).gradients
     assert np.abs(fixed.stepped(change, read, None, None)[0] - flat).max() > 0.01
     unstepped = replace(calibration, forward=replace(calibration.forward, step_sigma=None))
-    assert FromCalibration(unstepped, "auto").stepped(change, read, None, None) == (read, None, None)
+    assert FromCalibration(unstepped).stepped(change, read, None, None) == (read, None, None)
 
 
 def test_new_background_takes_a_larger_drift(calibration, press, simulated):
@@ -247,8 +248,11 @@ def test_the_flat_face_of_a_punch_keeps_its_depth(calibration, sensor):
     """Its color is that of rest: an anchor that goes by color alone would pull it to 0."""
     where = {"depth_mm": 0.3, "center_mm": (-1.0, 0.5)}
     punch = simulate_press(sensor, Punch(4.0), **where, rng=np.random.default_rng(6))
-    depth = gelform.Reconstructor(calibration)(punch.image).depth_mm
-    plain = gelform.Reconstructor(calibration, solver="dct")(punch.image).depth_mm
+    reconstruct = gelform.Reconstructor(calibration)
+    depth, slopes = reconstruct(punch.image).depth_mm, reconstruct.record(punch.image).slopes
+    plain = gelform.depth_from_gradients(
+        slopes.gradients, mm_per_px=calibration.mm_per_px, zero=slopes.at_rest, solver="dct"
+    )
     face = punch.depth_mm > 0.295
     assert face.sum() > 300
     assert depth[face].mean() == pytest.approx(plain[face].mean(), abs=0.015)
@@ -316,11 +320,11 @@ def test_each_door_names_the_other(calibration, simulated):
         gelform.Reconstructor(replace(calibration, view=halved), background=frame)
 
 
-def test_a_path_is_a_calibration_and_a_wrong_solver_is_refused_at_once(calibration, simulated, tmp_path):
+def test_a_path_is_a_calibration(calibration, simulated, tmp_path):
     calibration.save(tmp_path / "cal.npz")
     image = simulated.presses[0].image
     known, *others = (
-        gelform.Reconstructor(one, solver="dct")(image).depth_mm
+        gelform.Reconstructor(one)(image).depth_mm
         for one in (calibration, tmp_path / "cal.npz", str(tmp_path / "cal.npz"))
     )
     for again in others:
@@ -331,8 +335,21 @@ def test_a_path_is_a_calibration_and_a_wrong_solver_is_refused_at_once(calibrati
     ):
         with pytest.raises(error, match=said):
             gelform.Reconstructor(*given)
-    with pytest.raises(ValueError, match=r"Expected a solver among auto, .*got 'poisson'"):
-        gelform.Reconstructor(calibration, solver="poisson")
+
+
+def test_a_frame_has_the_usual_solver_and_no_other(calibration, press):
+    """Its sigma is that of weighted slopes with an anchor."""
+    made = gelform.Reconstructor(calibration)
+    record = made.record(press.image)
+    slopes, sigma = record.slopes, calibration.slope_sigma.full_confidence_sigma
+    rest = RestAnchor(slopes.at_rest.shape, calibration.mm_per_px, sigma)
+    how = {"weights": slopes.weights(sigma), "anchor": rest(slopes.gradients, slopes.at_rest)}
+    expected = gelform.integrate(slopes.gradients, mm_per_px=calibration.mm_per_px, **how)
+    result = made(press.image)
+    assert result.solver == expected.solver == "multigrid"
+    np.testing.assert_array_equal(result.depth_mm, expected.depth_mm)
+    with pytest.raises(TypeError, match="solver"):
+        gelform.Reconstructor(calibration, solver="dct")
 
 
 def test_another_state_of_the_same_gel(calibration, simulated):
@@ -365,15 +382,13 @@ def test_a_result_can_be_pickled(calibration, press):
 
 def _prepared(calibration, kind):
     today = np.clip(calibration.background * np.float32(1.03), 0, 255)
-    if kind == "plain solver":
-        return gelform.Reconstructor(calibration, solver="dct")
     if kind == "given background":
         return gelform.Reconstructor(calibration, today)
     made = gelform.Reconstructor(calibration)
     return made.with_background(today) if kind == "taken background" else made
 
 
-@pytest.mark.parametrize("kind", ["own", "given background", "taken background", "plain solver"])
+@pytest.mark.parametrize("kind", ["own", "given background", "taken background"])
 def test_a_reconstructor_can_be_pickled(calibration, press, kind):
     made = _prepared(calibration, kind)
     again = pickle.loads(pickle.dumps(made))

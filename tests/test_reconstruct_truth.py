@@ -57,11 +57,9 @@ class Tilted(LambertianModel):
 
 
 def test_slopes_that_are_read_at_rest_are_taken_off_everywhere():
-    for solver in ["auto", "dct"]:
-        tilted = gelform.Reconstructor(replace(calibration(), color_model=Tilted(LIGHTS)), solver=solver)
-        result = tilted(image_of(TOUCH))
-        assert error_um(result) < 15
-        assert np.abs(np.median(result.observed_gradients[TRUTH == 0], axis=0)).max() < 1e-3
+    result = gelform.Reconstructor(replace(calibration(), color_model=Tilted(LIGHTS)))(image_of(TOUCH))
+    assert error_um(result) < 15
+    assert np.abs(np.median(result.observed_gradients[TRUTH == 0], axis=0)).max() < 1e-3
 
 
 def test_albedo_is_that_of_the_gel(reconstruct):
@@ -136,14 +134,6 @@ def test_saturated_pixels_are_filled_from_around(reconstruct):
         assert result.gradients_sigma[box].min() >= 0.999
         assert error_um(result) < 10
         np.testing.assert_array_equal(reconstruct.explain(glare).confidence, result.confidence)
-
-
-def test_a_plain_solver_gets_no_weights(reconstruct):
-    for solver in ("dct", "robust"):
-        plain = gelform.Reconstructor(calibration(), solver=solver)(image_of(TOUCH))
-        assert plain.solver == solver
-        assert error_um(plain) < 15
-    assert reconstruct(image_of(TOUCH)).solver == "multigrid"
 
 
 def test_without_a_scale_depth_is_in_pixels_and_without_sigma_nothing_is_said_of_it():

@@ -20,7 +20,8 @@ from gelform.simulate import LAYOUTS, SimulatedSensor, simulate_press
 from gelform.simulate.gel import Gel
 from gelform.simulate.light import exposed
 from gelform.simulate.sensor import Coating, led_row
-from presses import mini_ball, presses_of, unlabeled
+from gelform.slopes.gradients import slopes_of_solution
+from presses import depth_by, mini_ball, presses_of, unlabeled
 from report import table
 
 DRAWN = range(411, 415)
@@ -115,7 +116,7 @@ def at_least(quick: bool) -> dict[str, Any]:
         sensor = drawn_sensor(seed)
         calibration = gelform.calibrate(presses_of(usual_presses(sensor, 12 if quick else 30)))
         figures[sensor.name] = {
-            solver: _heights_at_least(sensor, gelform.Reconstructor(calibration, solver=solver), quick)
+            solver: _heights_at_least(sensor, gelform.Reconstructor(calibration), solver, quick)
             for solver in ("multigrid", "at_least")
         }
     for name, one in figures.items():
@@ -128,23 +129,23 @@ def at_least(quick: bool) -> dict[str, Any]:
 def _balls(quick: bool) -> dict[str, dict[str, float]]:
     presses, order = mini_ball()
     calibration = gelform.calibrate(unlabeled(presses, order[0 : 24 if quick else None : 2]))
-    figures = {}
+    reconstruct, figures = gelform.Reconstructor(calibration), {}
+    pitch = calibration.known_mm_per_px
     for solver in ("multigrid", "at_least"):
-        reconstruct, rows = gelform.Reconstructor(calibration, solver=solver), []
+        rows = []
         for i in order[1 :: 10 if quick else 2]:
             press = presses.presses[i]
-            result = reconstruct.from_image(press.image)
+            depth = depth_by(solver, reconstruct, press.image)
             ball = {"circle_px": press.label, "ball_radius_mm": press.ball_diameter_mm / 2}
-            errors = press_errors(
-                result.depth_mm, result.gradients, mm_per_px=calibration.known_mm_per_px, **ball
-            )
+            gradients = slopes_of_solution(depth, (pitch, pitch))
+            errors = press_errors(depth, gradients, mm_per_px=pitch, **ball)
             rows.append([getattr(errors, name) for name in ERRORS])
         figures[solver] = dict(zip(ERRORS, np.nanmean(np.array(rows, dtype=float), axis=0).tolist()))
     return figures
 
 
 def _heights_at_least(
-    sensor: SimulatedSensor, reconstruct: gelform.Reconstructor, quick: bool
+    sensor: SimulatedSensor, reconstruct: gelform.Reconstructor, solver: str, quick: bool
 ) -> dict[str, float]:
     """Recovered over true height of eight objects at three depths, percent."""
     percent = []
@@ -152,7 +153,7 @@ def _heights_at_least(
         for depth_mm in depths:
             press = simulate_press(sensor, indenter, depth_mm=depth_mm, rng=np.random.default_rng(SEED))
             face = press.depth_mm > FACE * press.depth_mm.max()
-            depth = reconstruct.from_image(press.image).depth_mm
+            depth = depth_by(solver, reconstruct, press.image)
             percent.append(100 * depth[face].mean() / press.depth_mm[face].mean())
     off = np.array(percent) - 100
     return {

@@ -20,7 +20,7 @@ import numpy as np
 import gelform
 from gelform.batch import BatchSettings, run_batch, verify_output
 
-SETTINGS = BatchSettings("npz", keep=("depth",), solver="dct", part_frames=16)
+SETTINGS = BatchSettings("npz", keep=("depth",), part_frames=16)
 DRIVER = """
 import sys
 from gelform.batch import Engine, run_batch

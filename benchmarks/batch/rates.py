@@ -31,19 +31,14 @@ from gelform.simulate import LAYOUTS, simulate_ball_presses
 SHAPE, DIFFERENT = (240, 320), 40
 PER_FOLDER = 2000
 WORKERS = os.cpu_count() or 1
-FAST: dict[str, Any] = {"solver": "dct", "keep": ("depth",)}
 SETTINGS = {
-    "dct, depth only, npz": BatchSettings(**FAST),
-    "dct, depth only, Zarr uint16": BatchSettings("zarr", dtype="uint16", **FAST),
-    "dct, depth only, png": BatchSettings("png", **FAST),
-    "default (weighted), npz": BatchSettings(),
+    "depth only, npz": BatchSettings(keep=("depth",)),
+    "depth only, Zarr uint16": BatchSettings("zarr", dtype="uint16", keep=("depth",)),
+    "depth only, png": BatchSettings("png", keep=("depth",)),
+    "default, npz": BatchSettings(),
 }
-REACH_PER_S = {
-    "dct, depth only, npz": 600,
-    "dct, depth only, Zarr uint16": 500,
-    "default (weighted), npz": 250,
-}
-ON_RAY = "dct, depth only, Zarr uint16"
+REACH_PER_S = {"default, npz": 250}
+ON_RAY = "depth only, Zarr uint16"
 RATE = """
 import sys, time, resource
 from gelform.batch import Engine, run_batch

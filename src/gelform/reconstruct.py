@@ -16,7 +16,7 @@ from gelform.arrays import Array, Floats, Map, Mask, Slopes
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.depth.coarse import CoarseDepth
 from gelform.depth.contact import PreparedContact, SlopeDeviations, Surround, off_rest, unknown_contact
-from gelform.depth.integrate import FrameDepth, Integration, checked_solver
+from gelform.depth.integrate import FrameDepth, Integration
 from gelform.depth.sigma import DepthErrors, DepthSigma, steep_finding
 from gelform.errors import Finding
 from gelform.foundations.checks import check_image
@@ -54,7 +54,7 @@ ON_DEMAND = (  # what a result computes on first use
 class FromCalibration:
     """The parts that follow from a calibration alone. They are immutable; threads and all background images share them."""
 
-    def __init__(self, calibration: Calibration, solver: str) -> None:
+    def __init__(self, calibration: Calibration) -> None:
         self.calibration, self.known = calibration, calibration.slope_sigma
         shape, forward = calibration.image_shape, calibration.forward
         # An imported calibration without its own has a slope's deviation of 0.05 and a width of 20 mm, as of a GelSight
@@ -67,7 +67,7 @@ class FromCalibration:
         self.coarse_depth = CoarseDepth(shape, calibration.untouched_change)
         self.outlier = OUTLIER if forward is None else OUTLIER * forward.residual_scale
         self.slope_per_change = 1.0 if forward is None else forward.slope_per_change
-        self.depth = FrameDepth(shape, self.pitch, checked_solver(solver), sigma.full_confidence_sigma)
+        self.depth = FrameDepth(shape, self.pitch, sigma.full_confidence_sigma)
         self.limit = DepthLimit.of(shape, self.pitch, calibration.settings.gel_thickness_mm)
         self.depth_sigma = None
         if self.known is not None and calibration.mm_per_px is not None:
@@ -309,8 +309,6 @@ class Reconstructor:
     background : (H, W, 3), 0-255, optional
         Today's background image; the calibration's own by default. It is an image of the calibrated size;
         `image_from_frame(frame, calibration.view)` makes one of a frame.
-    solver : "auto" or a name in `gelform.depth.solvers.SOLVERS`
-        "auto" is `multigrid`. Solvers that treat all slopes alike (`dct`, `dct4`) use neither weights nor anchor.
 
     Attributes
     ----------
@@ -323,19 +321,14 @@ class Reconstructor:
     CalibrationError
         The background given is clearly not of the calibrated sensor, or the file cannot be read.
     ValueError, TypeError
-        A background of another size than the calibrated images, or an unknown solver.
+        A background of another size than the calibrated images.
     """
 
     def __init__(
-        self,
-        calibration: Calibration | str | PathLike[str],
-        background: ArrayLike | None = None,
-        *,
-        solver: str = "auto",
+        self, calibration: Calibration | str | PathLike[str], background: ArrayLike | None = None
     ) -> None:
         self.calibration = calibration = as_calibration(calibration)
-        self._calibrated = FromCalibration(calibration, solver)
-        self.solver = self._calibrated.depth.solver
+        self._calibrated = FromCalibration(calibration)
         self.findings: tuple[Finding, ...] = calibration.findings
         self.background = calibration.background
         self._checked = partial(check_viewed_image, calibration.background, calibration.view.frame_shape)
@@ -379,7 +372,7 @@ class Reconstructor:
         calibration = replace(self.calibration, report=None)
         today = None if self.own_background else self.background
         state = {"findings": self.findings, "markers": self.markers}
-        return _prepared_again, (type(self), calibration, self.solver, today), state
+        return _prepared_again, (type(self), calibration, today), state
 
     def __call__(self, frame: ArrayLike | Frame) -> Reconstruction:
         """Reconstruct one frame: apply the calibration's view, then `from_image`.
@@ -512,8 +505,8 @@ class Reconstructor:
 
 
 def _prepared_again(
-    kind: type[Reconstructor], calibration: Calibration, solver: str, background: Map | None
+    kind: type[Reconstructor], calibration: Calibration, background: Map | None
 ) -> Reconstructor:
     """The unpickled Reconstructor, without its findings and markers, which follow as its state."""
-    made = kind(calibration, solver=solver)
+    made = kind(calibration)
     return made if background is None else made.with_background(background)

@@ -58,7 +58,6 @@ def test_refused():
         ({"keep": ()}, "Expected maps to keep"),
         ({"keep": ("all", "depth")}, "Expected maps to keep"),
         ({"form": "png", "keep": ("depth", "contact")}, "Expected depth alone in 16 bits"),
-        ({"solver": "fast"}, "Expected a solver among auto, dct"),
         ({"background_frames": -1}, "Expected 0 to 200 frames"),
         ({"part_frames": 0}, "at least one frame"),
     ]:

@@ -178,7 +178,7 @@ def reader(calibration, prepared):
 def test_slopes_are_those_that_a_reconstructor_reads(calibration, presses, prepared, reader, step):
     """Of whole images, with and without the step; but for the bias, which it takes away from all slopes alike."""
     forward = calibration.forward if step else replace(calibration.forward, step_sigma=None)
-    reconstruct = Reconstructor(replace(calibration, forward=forward), solver="dct")
+    reconstruct = Reconstructor(replace(calibration, forward=forward))
     for press, image in zip(prepared[:3], presses.presses):
         read = reader(forward).frame(press)
         apart = reconstruct.from_image(image.image).observed_gradients - read.gradients

@@ -107,7 +107,6 @@ WRONG_USAGE = {
         "--shard half": "expected i/N",
         "--format exr": "Expected a format among npz, png",
         "--keep all,depth": "Expected maps to keep",
-        "--solver fast": "Expected a solver among auto",
     },
     "calibrate presses -o new.npz": {
         "--model magic": "polynomial",
@@ -146,7 +145,7 @@ WRONG_USAGE = {
         "--sensor digit": "--presses only",
     },
     "explain image.png": {"--sensor simulated-three-edges -c cal.npz": "-c names the calibration already"},
-    "reconstruct image.png -c cal.npz -o out": {"--format npz,obj": "npz, png", "--solver x": "auto, dct"},
+    "reconstruct image.png -c cal.npz -o out": {"--format npz,obj": "npz, png"},
     "reconstruct image.png -o out": {
         "--mm-per-px 0.05": "name it with --sensor",
         "--sensor simulated-three-edges": "needed with --sensor: an image of the gel at rest",

@@ -331,19 +331,12 @@ def slopes():
     )
 
 
-def test_a_solver_with_weights_gets_them_and_the_anchor(slopes):
+def test_a_frame_has_weights_and_an_anchor(slopes):
     weights, anchor = (
         slopes.weights(SIGMA),
         RestAnchor(SHAPE_FRAME, PITCH, SIGMA)(slopes.gradients, slopes.at_rest),
     )
     assert 0 < np.count_nonzero(weights < 0.5) < weights.size / 2
     wanted = integrate(slopes.gradients, mm_per_px=PITCH, solver="multigrid", weights=weights, anchor=anchor)
-    found = FrameDepth(SHAPE_FRAME, PITCH, "multigrid", SIGMA)(slopes)
+    found = FrameDepth(SHAPE_FRAME, PITCH, SIGMA)(slopes)
     np.testing.assert_array_equal(found.depth_mm, wanted.depth_mm)
-
-
-def test_a_solver_of_equal_slopes_gets_the_zero_alone(slopes):
-    wanted = integrate(slopes.gradients, mm_per_px=PITCH, solver="dct", zero=slopes.at_rest)
-    np.testing.assert_array_equal(
-        FrameDepth(SHAPE_FRAME, PITCH, "dct", SIGMA)(slopes).depth_mm, wanted.depth_mm
-    )

@@ -38,10 +38,8 @@ def test_the_background_is_the_sensors(hub, station, sensor):
     assert "Background taken: the average of 15 frames" in hub.notices[-1][2]
     actions.take_background(hub, station)
     assert station.facts()["can_undo"]
-    actions.use_solver(hub, station, "dct")
     actions.undo_background(hub, station)
     assert station.setup.background is taken
-    assert station.setup.solver == "dct"
     actions.undo_background(hub, station)
     assert station.setup.background is None
     assert not station.facts()["can_undo"]
@@ -92,9 +90,7 @@ def test_a_press_is_where_it_was_asked_for(hub, station):
     assert (deep.x_px, deep.y_px) == pytest.approx((120, 40), abs=4)
 
 
-def test_solver_and_calibration(hub, station, calibration):
-    actions.use_solver(hub, station, "dct")
-    until(lambda: station.newest.result.solver == "dct")
+def test_another_calibration_is_used(hub, station, calibration):
     actions.use_calibration(hub, station, hub.calibrations.add("again", calibration))
     assert station.setup.name == "again"
 
@@ -102,7 +98,6 @@ def test_solver_and_calibration(hub, station, calibration):
 def test_what_is_not_listed_or_known_is_refused(hub, station):
     before = station.setup
     for act, name, said in (
-        (actions.use_solver, "nonsense", "Expected a solver among auto, "),
         (actions.use_calibration, "../secret.npz", "There is no calibration"),
         (actions.open_recording, "../secret.mcap", "There is no recording"),
     ):
@@ -316,7 +311,6 @@ def test_facts_can_be_sent_as_json_and_a_notice_is_one_line(hub):
     facts = json.loads(json.dumps(hub.facts(), allow_nan=False))
     assert facts["stations"][0]["state"] == "running"
     assert facts["calibrations"] == ["mine"]
-    assert "auto" in facts["solvers"]
     hub.notice("first\nline")
     assert hub.facts()["notices"] == [[1, "info", "first line"]]
     assert hub.facts(notices_after=1)["notices"] == []

@@ -216,7 +216,7 @@ def test_a_background_is_used_and_given_back_and_another_sensors_is_refused(cali
     with pytest.raises(CalibrationError):
         replace(setup, background=calibration.background[..., ::-1].copy())
     assert not setup.memory.reconstruct.own_background
-    assert replace(setup, solver="dct").background is today
+    assert replace(setup, name="other").background is today
     assert replace(setup, background=None).memory.reconstruct.own_background
     for _ in range(9):
         setup = setup.taking(calibration, "mine", today)

@@ -151,7 +151,7 @@ class Worker:
                         calibration, background = at_rest_again(calibration, background), None
                 elif job.background_files:
                     background = background_of_file(job.background_files[name], calibration)
-                self._reconstruct = Reconstructor(calibration, background, solver=job.settings.solver)
+                self._reconstruct = Reconstructor(calibration, background)
             except GelformError as problem:
                 self._reconstruct = problem
             self._prepared_for = (own,)  # not after a lack of memory, which may be over at the next frame

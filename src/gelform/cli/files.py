@@ -236,9 +236,9 @@ class Inputs:
         frame = gelform.read_image(path, most_pixels=calibration.most_pixels, bgr=self.bgr)
         return _viewed(frame, path, calibration)
 
-    def reconstructor(self, calibration: gelform.Calibration, **settings: Any) -> gelform.Reconstructor:
+    def reconstructor(self, calibration: gelform.Calibration) -> gelform.Reconstructor:
         """A Reconstructor of a calibration with the background, if there is one."""
-        return gelform.Reconstructor(calibration, background=self.background_for(calibration), **settings)
+        return gelform.Reconstructor(calibration, background=self.background_for(calibration))
 
     def images(self, paths: Sequence[Path]) -> list[Path]:
         """The images of files and folders, without the background; DataError for a video or another file of several."""

@@ -161,7 +161,6 @@ Background = Annotated[
 ]
 Bgr = Annotated[bool, Option("--bgr", help="The frames are blue, green, red, as OpenCV writes an array.")]
 Dataset = Annotated[str, option("PATH", "Where frames are in HDF5, Zarr, LeRobot; * stands for one name.")]
-Solver = Annotated[str, Option(help="Solver from slopes to depth; auto chooses.")]
 Seconds = Annotated[float | None, number("Duration in seconds; else to the end or Ctrl-C.")]
 Seed = Annotated[int, Option(min=0, help="Seed of the random numbers.")]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any, Literal, get_args
 
@@ -169,7 +169,7 @@ def integrate(
         anchor=None if anchor is None else check_anchor(anchor, shape),
         zero=zero,
         level=level,
-        solver=checked_solver(solver),
+        solver=check_choice(solver, ("auto", *SOLVERS), "a solver"),
     ).solved()
 
 
@@ -328,16 +328,6 @@ def fitted_surface(depth: Array, region: Mask, degree: int) -> Map:
     return np.moveaxis(terms @ coefficients, -1, 0).reshape(depth.shape).astype(np.float32)
 
 
-def checked_solver(solver: str) -> str:
-    """The solver's name, if it is "auto" or in `SOLVERS`; else ValueError."""
-    return check_choice(solver, ("auto", *SOLVERS), "a solver")
-
-
-def takes_weights(solver: str) -> bool:
-    """Whether a solver takes weights, mask and anchor; "auto" does."""
-    return checked_solver(solver) == "auto" or SOLVERS[solver].takes_weights
-
-
 def check_weights(weights: Any, shape: tuple[int, ...]) -> Weights:
     """Weights in the form that solvers take, for slopes of shape (H, W), or (..., H, W) for a stack.
 
@@ -375,22 +365,14 @@ def check_anchor(anchor: ArrayLike, shape: tuple[int, int]) -> Map:
 class FrameDepth:
     """Depth for frames (H, W) of one calibration, with a pitch in mm per pixel. It is immutable; threads can share it.
 
-    A solver that treats all slopes alike uses neither weights nor anchor. Slopes of confidence 1 have the deviation
-    `full_confidence_sigma`, mm/mm.
+    Slopes of confidence 1 have the deviation `full_confidence_sigma`, mm/mm.
     """
 
-    def __init__(
-        self, shape: tuple[int, int], pitch: float, solver: str, full_confidence_sigma: float
-    ) -> None:
-        self.solver, self._pitch, self._full = solver, pitch, full_confidence_sigma
-        self._anchor = RestAnchor(shape, pitch, full_confidence_sigma) if takes_weights(solver) else None
+    def __init__(self, shape: tuple[int, int], pitch: float, full_confidence_sigma: float) -> None:
+        self._pitch, self._full = pitch, full_confidence_sigma
+        self._anchor = RestAnchor(shape, pitch, full_confidence_sigma)
 
     def __call__(self, slopes: ReadSlopes) -> Integration:
         """The depth of a frame's slopes; it is 0 at rest."""
-        problem = Problem(
-            slopes.gradients, (self._pitch, self._pitch), zero=slopes.at_rest, solver=self.solver
-        )
-        if self._anchor is not None:
-            weights, anchor = slopes.weights(self._full), self._anchor(slopes.gradients, slopes.at_rest)
-            problem = replace(problem, weights=weights, anchor=anchor, zero="mean")
-        return problem.solved()
+        weights, anchor = slopes.weights(self._full), self._anchor(slopes.gradients, slopes.at_rest)
+        return Problem(slopes.gradients, (self._pitch, self._pitch), weights, anchor=anchor).solved()

@@ -19,7 +19,6 @@ from gelform.calibration.library import (
     unit_named,
     unit_of_camera,
 )
-from gelform.depth.integrate import checked_solver
 from gelform.errors import Progress
 from gelform.image.agreement import touch_in
 from gelform.image.background import USUAL_FRAMES
@@ -138,16 +137,11 @@ def set_zero(hub: Hub, station: Station) -> None:
 
 def use_calibration(hub: Hub, station: Station, name: str) -> None:
     """Reconstruct with another calibration of the list."""
-    setup = Setup(hub.calibrations[name], name, station.setup.solver)
+    setup = Setup(hub.calibrations[name], name)
     if station.newest is not None and setup.memory is not None:
         # A calibration that does not fit is refused here, before its use.
         setup.memory.reconstructed(station.newest.frame, alone=True)
     station.setup = setup
-
-
-def use_solver(hub: Hub, station: Station, name: str) -> None:
-    """Integrate with another solver."""
-    station.setup = replace(station.setup, solver=checked_solver(name))
 
 
 def follow_motion(hub: Hub, station: Station, on: bool) -> None:
@@ -183,10 +177,10 @@ def show_camera(hub: Hub, station: Station, camera: int) -> None:
     """Show a camera of the list on a station, with its newest calibration if there is one."""
     found = hub.devices.camera(camera)
     hub.check_idle(station)
-    setup = Setup(solver=station.setup.solver)
+    setup = Setup()
     name = hub.calibrations.of_unit(unit_of_camera(found, hub.devices.cameras().values()))
     if name is not None:
-        setup = Setup(hub.calibrations[name], name, setup.solver)
+        setup = Setup(hub.calibrations[name], name)
     hub.devices.show(station, found, setup)
     hub.end_guide(station)
     how = f"with its calibration {name}" if name else "without a calibration: none in the list has its serial"
@@ -249,7 +243,7 @@ def attached_setup(hub: Hub, setup: Setup, path: Path) -> Setup:
     if calibration is None:
         return replace(setup, background=None)  # it belonged to the sensor
     name = hub.calibrations.add(f"{shown_name(path.resolve().name)}: calibration", calibration)
-    return Setup(calibration, name, setup.solver, attached_background(path))
+    return Setup(calibration, name, attached_background(path))
 
 
 def on_player(tell: Callable[..., None]) -> Callable[..., None]:

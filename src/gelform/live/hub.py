@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 from gelform import GelformError
 from gelform.calibration.starters import make_name, starter_names, starter_of_source
-from gelform.depth.solvers import SOLVERS
 from gelform.errors import Progress
 from gelform.live.lists import Calibrations, Devices, Recordings
 from gelform.live.shown import Shown, Snapshots
@@ -187,7 +186,6 @@ class Hub:
             "stations": [one.facts() | {"starter": starter_facts(one)} for one in self.stations],
             "starters": [[name, make_name(name)] for name in starter_names()],
             "calibrations": self.calibrations.names,
-            "solvers": ["auto", *SOLVERS],
             "guides": {number: session.guide.facts() for number, session in tuple(self.guides.items())},
             "files": self.recordings.facts(),
             "devices": self.devices.facts(),

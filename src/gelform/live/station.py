@@ -106,7 +106,6 @@ class Setup:
 
     calibration: Calibration | None = None  # None: only the image is shown
     name: str = ""  # of the calibration, in the page's list
-    solver: str = "auto"
     background: NDArray[np.float32] | None = None  # (H, W, 3), taken live; None: the calibration's own
     # Calibration, name and background before each background that was taken and can be undone, eight at most.
     earlier: tuple[tuple[Calibration, str, NDArray[np.float32] | None], ...] = ()
@@ -115,18 +114,18 @@ class Setup:
     def __post_init__(self) -> None:
         """CalibrationError: the background is not of the calibrated sensor."""
         if self.calibration is not None:
-            run = Reconstructor(self.calibration, background=self.background, solver=self.solver)
+            run = Reconstructor(self.calibration, background=self.background)
             object.__setattr__(self, "memory", Memory(run))
 
     def taking(self, calibration: Calibration, name: str, background: NDArray[np.float32]) -> Setup:
         """A setup with a background that was taken now; `undone` undoes it."""
         undo = () if self.calibration is None else ((self.calibration, self.name, self.background),)
-        return Setup(calibration, name, self.solver, background, (*self.earlier, *undo)[-8:])
+        return Setup(calibration, name, background, (*self.earlier, *undo)[-8:])
 
     def undone(self) -> Setup:
         """The setup before the last background that was taken."""
         *earlier, (calibration, name, background) = self.earlier
-        return Setup(calibration, name, self.solver, background, tuple(earlier))
+        return Setup(calibration, name, background, tuple(earlier))
 
 
 @dataclass(frozen=True)
@@ -329,7 +328,6 @@ class Station:
             "background": "taken on this page" if setup.background is not None else "from the calibration",
             "can_undo": bool(setup.earlier),
             "zero": setup.memory is not None and setup.memory.zero is not None,
-            "solver": setup.solver,
             "motion": self.moved is not None,
             "paused": self.paused,
             "replay": None if player is None else player.facts(),

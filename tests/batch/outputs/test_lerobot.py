@@ -89,7 +89,7 @@ def test_names():
             episode_of(other)
 
 
-SETTINGS = BatchSettings("lerobot", keep=("depth",), solver="dct")
+SETTINGS = BatchSettings("lerobot", keep=("depth",))
 DEPTH = f"{KEY}_depth"
 
 
@@ -163,7 +163,7 @@ def test_the_force_on_each_frame_is_in_the_tables(lerobot, with_force, tmp_path)
     assert run_batch(root, with_force, tmp_path / "out", SETTINGS, dataset=KEY, table="csv").complete
     assert verify_output(tmp_path / "out") == (9, 0, [])
     output = tmp_path / "out/frames"
-    reconstruct = gelform.Reconstructor(with_force, solver=SETTINGS.solver)
+    reconstruct = gelform.Reconstructor(with_force)
     true = np.array([reconstruct.from_image(frame).force.vector_n for frame in frames])
     assert np.isnan(true[:, :2]).all()
     assert np.nanmax(true[:, 2]) < 0  # it pushes toward the camera

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelform.depth.integrate import depth_from_gradients, integrate, takes_weights
+from gelform.depth.integrate import depth_from_gradients, integrate
 from gelform.depth.solvers import SOLVERS, seam
 from gelform.depth.solvers.seam import (
     differences,
@@ -47,7 +47,7 @@ def test_all_agree_on_a_bump_that_fades_before_the_border(solver):
 def test_says_whether_it_takes_weights(solver):
     gradients = np.random.default_rng(0).normal(0, 0.1, (9, 12, 2))
     weights = np.linspace(0.1, 1, 108).reshape(9, 12)
-    if takes_weights(solver):
+    if SOLVERS[solver].takes_weights:
         weighted = depth_from_gradients(gradients, mm_per_px=0.1, weights=weights, solver=solver)
         assert not np.allclose(weighted, depth_from_gradients(gradients, mm_per_px=0.1, solver=solver))
         with pytest.raises(ValueError, match="at least one value > 0 inside the mask, got 0 everywhere"):
@@ -63,7 +63,7 @@ def test_says_whether_it_takes_weights(solver):
 def test_a_stack_gives_the_bytes_of_its_frames(solver, shape):
     rng = np.random.default_rng(10)
     stack, weights = 0.1 * rng.standard_normal((2, 3, *shape, 2)), rng.uniform(0.01, 1, (2, 3, *shape))
-    for given_weights in (weights[0, 0], weights) if takes_weights(solver) else (None,):
+    for given_weights in (weights[0, 0], weights) if SOLVERS[solver].takes_weights else (None,):
         arguments = {"mm_per_px": (0.05, 0.08), "solver": solver}
         depth = depth_from_gradients(stack, weights=given_weights, **arguments)
         assert depth.shape == (2, 3, *shape)
@@ -114,7 +114,7 @@ def test_minimises_the_stated_energy(solver, pitch, anchored, per_edge):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_is_exact_on_quadratics_whatever_the_weights(shape, pitch, solver):
     truth, gradients, _ = scene(QUADRATIC, shape, pitch)
-    weights = np.random.default_rng(3).uniform(0.01, 1, shape) if takes_weights(solver) else None
+    weights = np.random.default_rng(3).uniform(0.01, 1, shape) if SOLVERS[solver].takes_weights else None
     depth = depth_from_gradients(gradients, mm_per_px=pitch, weights=weights, solver=solver)
     assert np.max(np.abs(depth - centered(truth))) <= SHARE.get(solver, 4e-3) * max(np.ptp(truth), 1e-3)
 

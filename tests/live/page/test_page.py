@@ -132,8 +132,6 @@ def test_buttons_do_what_they_say(page, station):
     until(lambda: page.inner_text("#zero") == "Undo zero")
     page.click("#zero")
     until(lambda: station.setup.memory.zero is None)
-    page.select_option("#solver", "dct")
-    until(lambda: station.newest.result.solver == "dct")
     page.select_option("#colors", "cividis")
     assert page.evaluate("gelform.settings.colors") == "cividis"
     page.click("#snapshot")

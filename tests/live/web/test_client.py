@@ -167,8 +167,8 @@ def test_older_numbers_are_thinned_to_their_deepest():
 
 def test_the_state_comes_by_itself_and_answers_to_buttons(socket):
     assert next_words(socket, "state")["stations"][0]["state"] == "running"
-    say(socket, do="solver", station=0, name="nonsense")
-    assert "Expected a solver" in next_words(socket, "done")["problem"]
+    say(socket, do="calibration", station=0, name="nonsense")
+    assert "There is no calibration" in next_words(socket, "done")["problem"]
     say(socket, do="ping", sent=1.5)
     assert next_words(socket, "pong")["sent"] == 1.5
     say(socket, do="snapshot", station=0)

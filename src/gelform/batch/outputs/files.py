@@ -30,7 +30,6 @@ from numpy.typing import NDArray
 
 from gelform import DataError
 from gelform.batch.inputs import Part
-from gelform.depth.integrate import checked_solver
 from gelform.errors import cannot, needed
 from gelform.exchange.exporters.surface import MM_PER_LEVEL, UNKNOWN, ZERO_LEVEL, levels_from_depth
 from gelform.foundations.checks import check_choice
@@ -54,7 +53,6 @@ class BatchSettings:
     keep : maps among KEPT; ("all",), only for npz: the whole result, which `gelform.load_result` reads
     dtype : of the kept maps; "uint16" is depth only, (v - 32768) x 1e-4 mm, 0 where unknown: always so in png, never in
         npz; in lerobot 1000 + depth in um
-    solver : as of a `Reconstructor`
     background_frames : number of frames at the start of each sequence that are averaged as its background; 0: none
     bgr : whether the input's channels are in the order blue, green, red, as OpenCV writes an array
     part_frames : images in one part; a video or a recording is one part
@@ -67,7 +65,6 @@ class BatchSettings:
 
     form: str = "npz"
     keep: tuple[str, ...] = ("depth", "known")
-    solver: str = "auto"
     background_frames: int = 0
     part_frames: int = 256
     dtype: str = ""
@@ -91,7 +88,6 @@ class BatchSettings:
             raise ValueError(
                 f"Expected depth alone in 16 bits, got {', '.join(self.keep)}. Write float32 as npz, zarr or hdf5."
             )
-        checked_solver(self.solver)
         if not 0 <= self.background_frames <= 200:  # which are in memory together
             raise ValueError(f"Expected 0 to 200 frames for a background, got {self.background_frames}.")
         if self.part_frames < 1:

@@ -41,7 +41,6 @@ def reconstruct(
     ],
     given: Inputs,
     output: options.ResultFolder,
-    solver: options.Solver = "auto",
     formats: Annotated[
         str, Option("--format", help="npz, png (a picture), ply, stl, tiff, x3p; several: npz,png.")
     ] = "npz",
@@ -94,7 +93,6 @@ def reconstruct(
                 given=Frames(**vars(given), dataset=dataset),
                 output=output,
                 keep="all",
-                solver=solver,
                 shard=(1, 1),
                 overwrite=overwrite,
                 accept_doubtful=accept_doubtful,
@@ -119,12 +117,9 @@ def reconstruct(
     check_results([*new, *sheet], overwrite=overwrite, protected=protected)
     if "png" in wanted:
         check_pictures()
-    from gelform.depth.solvers import SOLVERS
-
-    one_of(solver, ("auto", *SOLVERS), "--solver")
     used = given.calibration_of(images, shown.quiet)
     with shown.progress() as progress:
-        run, pitch = given.reconstructor(used, solver=solver), used.mm_per_px
+        run, pitch = given.reconstructor(used), used.mm_per_px
         unit = "px" if pitch is None else "mm"
         rows, failed, tiles, tally = [], [], [], FrameTally()
         for done, (path, results) in enumerate(todo):
@@ -259,7 +254,6 @@ def batch(
     keep: Annotated[str, Option(help=f"Maps to save: {', '.join(KEPT_MAPS)}; all: whole results.")] = (
         "depth,known"
     ),
-    solver: options.Solver = "auto",
     workers: Annotated[int, Option(min=1, metavar="N", help="Number of processes; for Ray, of CPUs.")] = 1,
     engine: Annotated[str, Option(help="pool (processes on this machine) or ray.")] = "pool",
     address: Annotated[
@@ -310,9 +304,7 @@ def batch(
     one_of(table, ("auto", "parquet", "csv"), "--table")
     maps = options.names_from(keep)
     with usage_errors():
-        settings = BatchSettings(
-            form, maps, solver, given.background_frames, dtype=dtype or "", bgr=given.bgr
-        )
+        settings = BatchSettings(form, maps, given.background_frames, dtype=dtype or "", bgr=given.bgr)
         machines = Engine(engine, workers, address)
     with _progress(shown.silent) as progress:
         work = partial(

@@ -4,7 +4,7 @@
 """
 
 from gelform.depth.solvers.dct import Dct4Solver, DctSolver
-from gelform.depth.solvers.robust import CurlGatedSolver, HuberSolver, L1Solver, RobustSolver
+from gelform.depth.solvers.robust import CurlGatedSolver, RobustSolver
 from gelform.depth.solvers.seam import Solution, Solver, Weights
 from gelform.depth.solvers.weighted import AtLeastSolver, MultigridSolver, SparseSolver
 
@@ -15,8 +15,6 @@ SOLVERS: dict[str, type[Solver]] = {
     "multigrid": MultigridSolver,
     "sparse": SparseSolver,
     "robust": RobustSolver,
-    "robust_huber": HuberSolver,
-    "robust_l1": L1Solver,
     "curl_gated": CurlGatedSolver,
     "at_least": AtLeastSolver,
 }

@@ -1,13 +1,12 @@
 """Depth without known confidence: outliers are found by their residuals, or by the curl of the slopes.
 
 Residuals are those of iteratively reweighted least squares around `multigrid`. Each round computes an edge's weight from
-its residual by the loss, relative to the usual residual of the frame (P. W. Holland and R. E. Welsch, Robust regression
-using iteratively reweighted least-squares, Communications in Statistics A6, 1977).
+its residual by Cauchy's loss, relative to the usual residual of the frame (P. W. Holland and R. E. Welsch, Robust
+regression using iteratively reweighted least-squares, Communications in Statistics A6, 1977).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import ClassVar, NamedTuple
 
 import cv2
@@ -32,23 +31,14 @@ from gelform.depth.solvers.weighted import Grid, MultigridSolver
 from gelform.foundations.filters import SIGMA_OF_MEDIAN
 from gelform.foundations.pool import Pool
 
-# Weight of a residual in units of the usual residual; the constants give 95 % efficiency under Gaussian noise.
-LOSSES: dict[str, Callable[[Array], Array]] = {
-    "huber": lambda r: 1.345 / np.maximum(np.abs(r), 1.345),
-    "cauchy": lambda r: 1 / (1 + (r / 2.385) ** 2),
-    "l1": lambda r: 0.1 / np.maximum(np.abs(r), 0.1),
-}
-
 
 class RobustSolver:
-    """A solver that repeats four steps with Cauchy's loss: residuals, usual residual, weights, solve."""
+    """A solver for slopes with jumps, which repeats four steps: residuals, usual residual, weights, solve."""
 
     takes_weights: ClassVar[bool] = True
-    loss: ClassVar[str] = "cauchy"
 
     def __init__(self, shape: tuple[int, int], mm_per_px: tuple[float, float], *, rounds: int = 3) -> None:
         self.shape, self.mm_per_px, self.rounds = shape, mm_per_px, rounds
-        self._weight = LOSSES[self.loss]
         self._uniform = DctSolver(shape, mm_per_px)
         self._pool = Pool(lambda: Grid(shape))
 
@@ -81,22 +71,15 @@ class RobustSolver:
         sample = [(r.ravel()[::EVERY_EDGE], w.ravel()[::EVERY_EDGE]) for r, w in zip(residual, given)]
         sizes = np.concatenate([np.abs(r[w > 0]) for r, w in sample])
         usual = np.float32(max(SIGMA_OF_MEDIAN * float(np.median(sizes)) if sizes.size else 0.0, 1e-6))
-        weights = tuple(w * np.maximum(self._weight(r / usual), FLOOR) for w, r in zip(given, residual))
+        weights = tuple(w * np.maximum(cauchy_weight(r / usual), FLOOR) for w, r in zip(given, residual))
         remaining = problem._replace(edges=residual, edge_weights=weights)  # type: ignore[arg-type]
         east, south, right = edge_system(remaining, pitch)
         grid.load_edges(east, south, right - problem.anchor * depth, problem.anchor)
 
 
-class HuberSolver(RobustSolver):
-    """As `RobustSolver`, with Huber's loss: quadratic for small residuals, absolute for large ones."""
-
-    loss: ClassVar[str] = "huber"
-
-
-class L1Solver(RobustSolver):
-    """As `RobustSolver`, with absolute residuals."""
-
-    loss: ClassVar[str] = "l1"
+def cauchy_weight(residual: Array) -> Array:
+    """Weight of a residual in units of the usual one; 2.385 gives 95 % efficiency under Gaussian noise."""
+    return 1 / (1 + (residual / 2.385) ** 2)
 
 
 # Slope per pixel, curl of slopes with errors of 0.01; a smaller curl never makes an outlier.
@@ -104,7 +87,10 @@ LEAST_CURL = 0.014
 
 
 class CurlGatedSolver(MultigridSolver):
-    """Finds outlier pixels and patches by the curl of the slopes, gives them no weight, and solves by `multigrid`."""
+    """Finds outlier pixels and patches by the curl of the slopes, gives them no weight, and solves by `multigrid`.
+
+    It takes a jump of the surface for outliers; across jumps, `RobustSolver` is the one.
+    """
 
     def __call__(
         self, gradients: Array, weights: Weights = None, mask: Mask | None = None, anchor: Array | None = None

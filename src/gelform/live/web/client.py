@@ -69,7 +69,6 @@ COMMANDS: dict[str, tuple[Callable[..., dict[str, Any] | None], dict[str, Callab
     "undo_background": (actions.undo_background, {}),
     "zero": (actions.set_zero, {}),
     "calibration": (actions.use_calibration, {"name": text}),
-    "solver": (actions.use_solver, {"name": text}),
     "guide_start": (actions.guide_start, {"ball_diameter_mm": number, "profile": text, "mm_per_px": number}),
     "guide_click": (actions.guide_click, {"x_px": number, "y_px": number}),
     "guide_fit": (actions.guide_fit, {}),

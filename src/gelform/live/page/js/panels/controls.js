@@ -18,9 +18,7 @@ export function startControls(does) {
       button("pause", "Pause", "Hold this frame (space)", () => send("pause", { paused: !holds(does.chosen()) }))));
   byId("choices").append(
     choice("calibration", "Calibration", (name) => name && send("calibration", { name })),
-    element("div", { class: "row" },
-      choice("solver", "Solver", (name) => send("solver", { name })),
-      choice("colors", "Colors", (name) => { does.settings.colors = name; does.redraw(); })),
+    choice("colors", "Colors", (name) => { does.settings.colors = name; does.redraw(); }),
     element("label", { class: "check" }, element("span", {}, element("input", { id: "outlines", type: "checkbox", checked: true, onchange: (event) => { does.settings.outlines = event.target.checked; does.redraw(); } }), " Outlines and deepest point")),
     element("label", { class: "check", title: "Follow the touching object: its path since it touched, and its turn. Off and on again begins anew." }, element("span", {}, element("input", { id: "motion-on", type: "checkbox", onchange: (event) => send("motion", { on: event.target.checked }) }), " Motion since the touch")));
   setOptions(byId("colors"), MAP_NAMES.map((name) => [name, name]), does.settings.colors);
@@ -32,7 +30,6 @@ export function drawControls(station, facts) {
   if (!station) return;
   const named = facts.calibrations.map((name) => [name, name]);
   setOptions(byId("calibration"), station.calibration ? named : [["", "none"], ...named], station.calibration);
-  setOptions(byId("solver"), facts.solvers.map((name) => [name, name]), station.solver);
   byId("pause").textContent = holds(station) ? "Continue" : "Pause";
   byId("pause").setAttribute("aria-pressed", String(holds(station)));
   byId("motion-on").checked = station.motion;
