@@ -406,9 +406,9 @@ class BatchReconstruction(NamedTuple):
 class Reconstruct(nn.Module):
     """Color model and cosine solver of a calibration, for batches: differentiable, on the module's device.
 
-    Depth equals that of `gelform.Reconstructor(calibration, solver="dct").from_image` within 1e-4 of its peak.
-    Weights, anchor, confidence, uncertainty, contact and health are left out. Clipped channels are used as they are.
-    Buffers follow `.to(device)` and `.double()`.
+    Depth equals that of `integrate(observed_gradients, solver="dct")` of a `Reconstructor`'s result, 0 at rest, within
+    1e-4 of its peak. Weights, anchor, confidence, uncertainty, contact and health are left out. Clipped channels are
+    used as they are. Buffers follow `.to(device)` and `.double()`.
 
     Parameters
     ----------

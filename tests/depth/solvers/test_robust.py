@@ -70,6 +70,22 @@ def test_costs_little_without_outliers(solver):
     assert rmse_um(depth_from_gradients(noisy, mm_per_px=pitch, solver=solver), truth) < 1.25 * plain
 
 
+def test_a_cliff_stays_at_its_place_where_least_squares_spread_it():
+    """A tongue over a plane; its slopes say nothing of the cliff at its end."""
+    y, x = np.mgrid[:120, :160]
+    turn, top = np.pi / 2 * np.clip((x - 80) / 20, -1, 1), y < 60
+    truth = np.where(top, np.cos(turn) ** 2, 0)
+    gradients = np.random.default_rng(0).normal(0, 0.02, (*truth.shape, 2))
+    gradients[..., 0] -= np.where(top, np.pi / 2 / (20 * 0.1) * np.sin(2 * turn), 0)
+    off_um = {}
+    for name in ("multigrid", "robust", "curl_gated"):
+        off = depth_from_gradients(gradients, mm_per_px=0.1, solver=name) - truth
+        off_um[name] = 1e3 * np.mean(np.abs(off - np.median(off)))
+    assert off_um["robust"] < 12
+    assert off_um["robust"] < 0.2 * off_um["multigrid"]
+    assert off_um["robust"] < 0.4 * off_um["curl_gated"]
+
+
 def test_more_rounds_approach_the_minimiser_of_the_loss():
     """At the fixed point, the weights of the answer's own residuals give the answer again."""
     rng = np.random.default_rng(4)

@@ -89,7 +89,7 @@ LEAST_CURL = 0.014
 class CurlGatedSolver(MultigridSolver):
     """Finds outlier pixels and patches by the curl of the slopes, gives them no weight, and solves by `multigrid`.
 
-    It takes a jump of the surface for outliers; across jumps, `RobustSolver` is the one.
+    Not across jumps of the surface: `RobustSolver` is nearer there.
     """
 
     def __call__(
