@@ -200,7 +200,7 @@ def test_a_step_takes_the_depth_of_what_is_not_hidden(calibration, press):
     flat = fixed.step(change, read, np.zeros(hidden.shape, np.float32), None).gradients
     assert np.abs(fixed.stepped(change, read, None, None)[0] - flat).max() > 0.01
     unstepped = replace(calibration, forward=replace(calibration.forward, step_sigma=None))
-    assert FromCalibration(unstepped).stepped(change, read, None, None) == (read, None, None)
+    assert FromCalibration(unstepped).stepped(change, read, None, None) == (read, None, None, None)
 
 
 def test_new_background_takes_a_larger_drift(calibration, press, simulated):

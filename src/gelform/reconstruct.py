@@ -41,7 +41,6 @@ from gelform.slopes.budget import (
     without_bias,
 )
 from gelform.slopes.color_models.forward_response import PreparedStep
-from gelform.slopes.color_models.seam import AlbedoModel, gradients_from_pending
 from gelform.slopes.gradients import slopes_of_solution
 from gelform.slopes.sigma import Clipped, ClippedChannels, SlopeSigma, either, excess_noise, outside_of_gel
 
@@ -78,15 +77,18 @@ class FromCalibration:
 
     def stepped(
         self, change: Map, gradients: Slopes, hidden: Mask | None, clipped: NDArray[np.uint8] | None
-    ) -> tuple[Slopes, Map | None, Map | None]:
+    ) -> tuple[Slopes, Map | None, Map | None, Map | None]:
         """Slopes (H, W, 2) after a step by the forward response with the frame's depth, their variance and residual.
+
+        The last is that depth on the coarser grid, px.
 
         Without a response or its `step_sigma` slopes stay as they were read. Pixels without gel are `hidden` (H, W),
         unusable channels are `clipped` (H, W, 3).
         """
         if self.step is None:
-            return gradients, None, None
-        return self.step(change, gradients, self.coarse_depth(change, gradients, hidden), clipped)
+            return gradients, None, None, None
+        depth_px = self.coarse_depth.signed(change, gradients, hidden)
+        return *self.step(change, gradients, np.maximum(depth_px, 0), clipped), depth_px
 
 
 class FromBackground:
@@ -96,7 +98,10 @@ class FromBackground:
         calibration, forward = fixed.calibration, fixed.calibration.forward
         change, noise = calibration.change, calibration.settings.image_noise
         self.untouched_image = PreparedBackground(background, change, usual)
-        self.model = calibration.color_model.prepare(background, calibration.image_shape)
+        self.model = model = calibration.color_model.prepare(background, calibration.image_shape)
+        # What not every model can, asked once.
+        self.in_one_pass = getattr(model, "gradients_in_one_pass", None)
+        self.albedo_from_color = getattr(model, "albedo_from_color", None)
         self.health = FrameHealth(background, calibration.view.turn != "none")
         # If crosstalk is removed, a clipped channel affects all three.
         spare = int(fixed.step is not None and change.crosstalk is None)
@@ -422,8 +427,8 @@ class Reconstructor:
             seen = self._seen(whole_levels(self._checked(image)).copy(), markers)
             slopes, at_bias = self._read(seen, change)
             albedo = None
-            if isinstance(today.model, AlbedoModel):
-                albedo = partial(today.model.albedo_from_color, change.copy())
+            if today.albedo_from_color is not None:
+                albedo = partial(today.albedo_from_color, change.copy())
         solution = fixed.depth(slopes)
         depth_mm, too_deep = fixed.limit.bound(solution.depth_mm)
         lost = seen.faults.lost
@@ -450,15 +455,19 @@ class Reconstructor:
         """The slopes that an image's colors mean, without their bias, and findings; the color change goes to `change`."""
         fixed, today = self._calibrated, self._today
         pending = today.untouched_image.pending(seen.image, seen.light)
-        direct, model_sigma = gradients_from_pending(today.model, pending, out=change)
+        if today.in_one_pass is None:
+            direct, model_sigma = today.model.gradients_from_color(pending.write(change))
+        else:
+            direct, model_sigma = today.in_one_pass(pending, change)
         unseen = either(seen.hidden, seen.clipped.unseen)
-        gradients, variance, residual = fixed.stepped(change, direct, unseen, seen.clipped.channels)
+        stepped = fixed.stepped(change, direct, unseen, seen.clipped.channels)
+        gradients, variance, residual, depth_px = stepped
         untouched = self.calibration.untouched_change
         reference = reference_from_color_change(change, gradients, untouched, seen.hidden)
         at_rest = without_bias(change, gradients, reference, seen.hidden)
         of_model = None if model_sigma is None else np.ascontiguousarray(model_sigma.max(axis=-1))
         unseen = either(unseen, today.outside)
-        slopes = ReadSlopes(gradients, at_rest, unseen, variance, residual, of_model, fixed.outlier)
+        slopes = ReadSlopes(gradients, at_rest, unseen, variance, residual, of_model, fixed.outlier, depth_px)
         return slopes, reference.findings
 
     def result(self, record: FrameRecord) -> Reconstruction:

@@ -4,6 +4,7 @@ A moved image is registered to hundredths of a pixel where there is texture; whe
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -87,7 +88,9 @@ def test_a_large_contact_does_not_pull_the_gain(sensor, rest):
 def test_an_unsure_tilt_to_the_right_is_an_unsure_change_at_the_sides():
     covariance = np.zeros((3, 4, 4))
     covariance[:, 1, 1] = 0.1**2
-    found = light.FrameLight(covariance=covariance).change_sigma(np.full((3, 5, 3), 100, np.float32))
+    found = light.FrameLight(fit=SimpleNamespace(covariance=covariance)).change_sigma(
+        np.full((3, 5, 3), 100, np.float32)
+    )
     np.testing.assert_allclose(found, np.tile([0.08, 0.04, 0, 0.04, 0.08], (3, 1)), atol=1e-7)
 
 

@@ -94,16 +94,18 @@ class RestAnchor:
         size = max(4 * shape[1], of_coarse, (rows + 2) * (columns + 2))
         self._pool = Pool(lambda: np.empty(size, dtype=np.float32))
 
-    def __call__(self, gradients: Slopes, at_rest: Mask) -> Map:
+    def __call__(self, gradients: Slopes, at_rest: Mask, depth_px: Map | None = None) -> Map:
         """Anchor (H, W) of slopes (H, W, 2) without bias; 0 where the gel was touched or pressed flat.
 
+        The depth on the coarser grid, px, is solved if it is not given.
         A pixel at rest gets `(full_confidence_sigma mm_per_px / REST_SIGMA_MM)^2`, times `1 - exp(-(d/REACH_MM)^2)` with its
         distance d from touched gel; in a face it gets 0. If no coarse pixel is at rest, the coarse pixels with the largest
         fraction at rest are taken instead.
         """
         coarse, far = self._coarse, None
-        slopes, fraction = coarse.means(gradients), coarse.means(at_rest)
-        depth = coarse.depth_px(slopes) * self._mm_per_px
+        fraction = coarse.means(at_rest)
+        depth_px = coarse.depth_px(coarse.means(gradients)) if depth_px is None else depth_px
+        depth = depth_px * self._mm_per_px
         weight, distance = np.empty((2, *coarse.shape), np.float32)
         anchor = np.empty(self.shape, np.float32)
         touched = fraction < min(UNTOUCHED_FRACTION, float(fraction.max()))
@@ -125,7 +127,11 @@ class CoarseDepth:
         self._coarse = coarse_of(shape)
 
     def __call__(self, color_change: Map, gradients: Slopes, hidden: Mask | None = None) -> Map:
-        """Depth (rows, columns) on the coarser grid, px; its median over the samples at rest is 0, and no depth is less.
+        """Depth (rows, columns) on the coarser grid, px; no depth is less than 0. Arguments as for `signed`."""
+        return np.maximum(self.signed(color_change, gradients, hidden), 0)
+
+    def signed(self, color_change: Map, gradients: Slopes, hidden: Mask | None = None) -> Map:
+        """Depth (rows, columns) on the coarser grid, px; its median over the samples at rest is 0.
 
         It comes from a color change (H, W, 3) and the gradients (H, W, 2) of a color model. The slopes around hidden pixels
         (H, W) are continued across them.
@@ -147,7 +153,6 @@ class CoarseDepth:
             rest = square <= np.quantile(square, MIN_UNTOUCHED)
         depth = self._coarse.depth_px(slopes - medians_where(slopes, rest)[0])
         depth -= medians_where(depth[..., None], rest)[0]
-        np.maximum(depth, 0, out=depth)
         return depth
 
     def at_pixels(self, color_change: Map, gradients: Slopes, hidden: Mask | None = None) -> Map:

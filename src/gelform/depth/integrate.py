@@ -374,5 +374,8 @@ class FrameDepth:
 
     def __call__(self, slopes: ReadSlopes) -> Integration:
         """The depth of a frame's slopes; it is 0 at rest."""
-        weights, anchor = slopes.weights(self._full), self._anchor(slopes.gradients, slopes.at_rest)
+        weights, anchor = (
+            slopes.weights(self._full),
+            self._anchor(slopes.gradients, slopes.at_rest, slopes.coarse_px),
+        )
         return Problem(slopes.gradients, (self._pitch, self._pitch), weights, anchor=anchor).solved()

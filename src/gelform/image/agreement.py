@@ -353,8 +353,8 @@ def compared(
         check_upright(orientation_from_blocks(image, untouched))
     _refuse_unlike(light, _correlation(image, untouched, light), own)
     findings = [*_exposure_findings(light), *room_light_finding(light)]
-    tilt = abs(_sure(light.tilt, light.covariance[:, [1, 2], [1, 2]], GAIN_REPORTED))
-    if tilt:
+    tilted = not light.is_plain and _sure(light.tilt, light.covariance[:, [1, 2], [1, 2]], GAIN_REPORTED)
+    if tilt := abs(tilted):
         message = (
             f"The light is tilted by up to {100 * tilt:.0f} % between the middle and a border, as if a lamp had moved. "
             "gelform compensates it."
@@ -429,7 +429,7 @@ def room_light_finding(light: FrameLight) -> tuple[Finding, ...]:
 
     The sensor's own light multiplies the background image. Light from outside is added to it, in dark places too.
     """
-    room = _sure(light.room, light.covariance[:, 3, 3], ROOM_REPORTED)
+    room = 0.0 if light.is_plain else _sure(light.room, light.covariance[:, 3, 3], ROOM_REPORTED)
     message = (
         f"Room light changes the colors by up to {room:+.0f} gray levels. gelform removes it. Shade the gel."
     )

@@ -74,8 +74,9 @@ class FrameLight:
     """The light of a frame relative to the background's."""
 
     values: Numbers = field(default_factory=lambda: np.zeros((3, 4)))  # (3, 4), as those of `lit`
-    # (3, 4, 4), of each channel's values; 0 for a tilt and room light that were not fitted
-    covariance: Numbers = field(default_factory=lambda: np.tile(np.diag(GAIN / PRIOR), (3, 1, 1)))
+    fit: _Fit | None = (
+        None  # that its covariance follows from; None: nothing is known but the prior of the gain
+    )
     is_known: bool = False  # whether the gain's standard deviation in this tilt and room light is 1 % or less
     # of the image that is at rest in this light, 0-1; 0 if each block is dark or saturated in one of the images
     share: float = 0.0
@@ -85,6 +86,11 @@ class FrameLight:
     # least_pattern, middle_pattern: that of the quarter and of the half that changed least, after a gain alone
     least_pattern: float = np.inf
     middle_pattern: float = np.inf
+
+    @property
+    def covariance(self) -> Numbers:
+        """Of each channel's values, (3, 4, 4); 0 for a tilt and room light that were not fitted."""
+        return np.tile(np.diag(GAIN / PRIOR), (3, 1, 1)) if self.fit is None else self.fit.covariance
 
     @property
     def is_plain(self) -> bool:
@@ -196,9 +202,7 @@ class _LitBlocks:
         pattern = float(changes[quarter]), float(changes[half])
         # With a deviation of the gain's logarithm above 0.01, less than a tenth of the image agrees.
         is_known = bool(fit.normal[:, 0, 0].min() >= 0.01**-2)
-        return FrameLight(
-            fit.values, fit.covariance, is_known, fit.at_rest / self.total, float(least), *pattern
-        )
+        return FrameLight(fit.values, fit, is_known, fit.at_rest / self.total, float(least), *pattern)
 
 
 def gain_from_blocks(blocks: Map, untouched: Map) -> FrameLight:
@@ -225,7 +229,7 @@ def light_from_blocks(blocks: Map, untouched: Map, usual: FrameLight | None = No
         again = lit_blocks.fit(GAIN, usual.values, most=REST_SIGMA)
         alone = lit_blocks.fit(GAIN, gain.values, again.rest_sigma, WIDENED[2:])
         if again.promised <= MARGIN and again.likelihood > alone.likelihood:
-            return replace(lit_blocks.light(again, gain), covariance=usual.covariance)
+            return replace(lit_blocks.light(again, gain), fit=usual.fit)
     if gain.promised <= MARGIN:
         return lit_blocks.light(gain, gain)
     both = lit_blocks.fit(BOTH, gain.values)

@@ -78,6 +78,9 @@ class ReadSlopes:
     residual: Map | None = None  # (H, W), squared, over its covariance
     model_sigma: Map | None = None  # (H, W), a color model's own deviation, or None
     outlier: float = OUTLIER  # squared residual from which no slope is left
+    coarse_px: Map | None = (
+        None  # (rows, columns), depth on the coarser grid, px, that the step was made with
+    )
 
     def weights(self, full_confidence_sigma: float) -> Map:
         """The solver's weight (H, W) of each slope: full^2 / (full^2 + outlier^2), 1e-6 where nothing was seen."""
@@ -247,10 +250,11 @@ def slopes_of_ball(gradients: Slopes, top: tuple[int, int], gentle: float) -> Sh
     `gentle` is the slope up to which they are trusted.
     """
     reach = int(min(gradients.shape[:2]) / 3)  # half the side of the square around the top that is looked at
-    rows, columns = (slice(max(at - reach, 0), at + reach + 1) for at in top)
+    # Every second pixel: a ring has enough of them.
+    rows, columns = (slice(max(at - reach, 0), at + reach + 1, 2) for at in top)
     gradients = gradients[rows, columns]
     y, x = (
-        np.arange(n, dtype=np.float32) - (at - part.start)
+        2 * np.arange(n, dtype=np.float32) - (at - part.start)
         for n, at, part in zip(gradients.shape, top, (rows, columns))
     )
     squares = np.einsum("...i,...i", gradients, gradients)
@@ -260,7 +264,7 @@ def slopes_of_ball(gradients: Slopes, top: tuple[int, int], gentle: float) -> Sh
         return None
     inner = ring < steep[0]
     normals = -gradients / np.sqrt(1 + squares)[..., None]
-    place = np.argwhere(inner)[:, ::-1] - np.array([top[1] - columns.start, top[0] - rows.start])
+    place = 2.0 * np.argwhere(inner)[:, ::-1] - np.array([top[1] - columns.start, top[0] - rows.start])
     turned = normals[inner]
     away, off = place - place.mean(axis=0), turned - turned.mean(axis=0)
     per_px = float(np.sum(away * off) / np.sum(np.square(away)))

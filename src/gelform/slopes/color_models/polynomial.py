@@ -23,10 +23,10 @@ from gelform._native import Kernel
 from gelform.arrays import Array, Map, Numbers, Slopes
 from gelform.foundations.checks import HIGHEST_SLOPE, check_within, value_range
 from gelform.foundations.filters import CHANGE_OFFSET
+from gelform.image.background import PendingChange
 from gelform.slopes.color_models.seam import (
     HUBER_SLOPE,
     NODE_PX,
-    PendingChange,
     Samples,
     Stored,
     VaryingRegression,

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.arrays import Array, Floats, Map, Numbers, Slopes
-from gelform.image.background import PendingChange
 
 T = TypeVar("T")
 
@@ -40,38 +39,15 @@ class Samples:
 
 
 class PreparedColorModel(Protocol):
-    """A color model ready for frames of one shape over one background."""
+    """A color model ready for frames of one shape over one background.
+
+    It may also have `gradients_in_one_pass(pending, out)`, as `gradients_from_color`, whose kernel computes the color change
+    too and writes it to `out` (H, W, 3); and `albedo_from_color(color_change)`, the albedo (H, W) relative to rest.
+    """
 
     def gradients_from_color(self, color_change: Map) -> tuple[Slopes, Slopes | None]:
         """Gradients (H, W, 2) of a color change (H, W, 3), and their standard deviation or None."""
         ...
-
-
-@runtime_checkable
-class OnePassModel(Protocol):
-    """Addition to `PreparedColorModel`: its kernel also computes the color change."""
-
-    def gradients_in_one_pass(self, pending: PendingChange, out: Map) -> tuple[Slopes, Slopes | None]:
-        """As `gradients_from_color`; the color change is written to `out` (H, W, 3)."""
-        ...
-
-
-@runtime_checkable
-class AlbedoModel(Protocol):
-    """Addition to `PreparedColorModel`: it gives the albedo besides the slopes."""
-
-    def albedo_from_color(self, color_change: Map) -> Map:
-        """Albedo (H, W) relative to the gel at rest."""
-        ...
-
-
-def gradients_from_pending(
-    model: PreparedColorModel, pending: PendingChange, out: Map
-) -> tuple[Slopes, Slopes | None]:
-    """Gradients and their deviation, in one pass if the model can; the color change is written to `out` (H, W, 3)."""
-    if isinstance(model, OnePassModel):
-        return model.gradients_in_one_pass(pending, out)
-    return model.gradients_from_color(pending.write(out))
 
 
 class ColorModel(Protocol):
