@@ -87,7 +87,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         "faults of the image": (today, "health"),
         "light": (today.untouched_image, "compare"),
         "clipped channels": (today, "clipped"),
-        "color change, blur and color model": (gelform.reconstruct, "gradients_from_pending"),
+        "color change, blur and color model": (today, "in_one_pass"),
         "depth of the frame, step of the forward response": (fixed, "stepped"),
         "what untouched pixels have in common": (gelform.reconstruct, "reference_from_color_change"),
         "untouched pixels": (gelform.reconstruct, "without_bias"),

@@ -24,7 +24,15 @@ import gelform
 
 # All that can be asked of a result, so that what a version computes on demand is computed.
 OF_STREAM = ("depth_mm", "depth_sigma_mm", "contact", "health")
-EVERYTHING = (*OF_STREAM, "gradients_sigma", "confidence", "contacts", "outside_change", "curl_rms")
+EVERYTHING = (
+    *OF_STREAM,
+    "normals",
+    "gradients_sigma",
+    "confidence",
+    "contacts",
+    "outside_change",
+    "curl_rms",
+)
 IMAGES = 24  # in a sequence
 FIRST = "import sys, gelform, numpy; gelform.Reconstructor(sys.argv[1]).from_image(numpy.load(sys.argv[2]))"
 Calls = dict[str, Callable[[], list[float]]]

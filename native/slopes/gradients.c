@@ -1,4 +1,4 @@
-// Slopes of a depth map, and how far slopes are from those of a surface.
+// Slopes of a depth map, their unit normals, and how far slopes are from those of a surface.
 #include "../common.h"
 
 // Difference per pixel at the first of n values, of second order where there are three.
@@ -93,5 +93,16 @@ EXPORT int curl_squares(const float *gradients, const bool *known, double *resul
     }
   result[0] = total;
   result[1] = (double)count;
+  return OK;
+}
+
+// Unit normals (-p, -q, 1) / sqrt(1 + p^2 + q^2) of slopes.
+EXPORT int normals_of_slopes(const float *restrict slopes, float *restrict normals, ptrdiff_t n) {
+  for (ptrdiff_t k = 0; k < n; k++) {
+    const float p = slopes[2 * k], q = slopes[2 * k + 1], length = sqrtf(p * p + q * q + 1);
+    normals[3 * k] = -p / length;
+    normals[3 * k + 1] = -q / length;
+    normals[3 * k + 2] = 1 / length;
+  }
   return OK;
 }

@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gelform._native import Kernel
 from gelform.arrays import Array, Map, Numbers, Slopes
 from gelform.foundations.checks import check_gradients, check_normals, check_values
 from gelform.slopes.color_models.physical import check_lights, inverse_lights
+
+_normals_of_slopes = Kernel("normals_of_slopes", "f32[n,2] slopes, out f32[n,3] normals")
 
 
 def normals_from_image(image: ArrayLike, lights: ArrayLike) -> tuple[Map, Map]:
@@ -84,8 +87,10 @@ def normals_from_gradients(gradients: ArrayLike) -> Slopes:
     ValueError, TypeError
         Slopes of another shape, or not finite.
     """
-    g = check_gradients(gradients)
-    return _unit(np.concatenate([-g, np.ones_like(g[..., :1])], axis=-1))
+    slopes = np.ascontiguousarray(check_gradients(gradients))
+    normals = np.empty((*slopes.shape[:-1], 3), np.float32)
+    _normals_of_slopes(slopes.reshape(-1, 2), normals.reshape(-1, 3))
+    return normals
 
 
 def lights_from_normals(image: ArrayLike, normals: ArrayLike, albedo: ArrayLike = 1.0) -> Numbers:
