@@ -242,9 +242,10 @@ def limits(figures: Figures) -> str:
         f"{edge['confidence > 0.3, %']:.0f} % of the pixels have a confidence over 0.3. "
         "[Accuracy](accuracy.md#real-frames-that-are-not-the-calibrations-ball) has the other figures."
     )
+    others = f"{rest[0]:.0f} to {rest[-1]:.0f}" if f"{rest[0]:.0f}" != f"{rest[-1]:.0f}" else f"{rest[0]:.0f}"
     contacts = (
         f"- **Number of contacts.** One ball gives exactly one contact in {one['mini-ball']:.0f} % of the frames of a "
-        f"GelSight Mini. On five other sensors it is {rest[0]:.0f} to {rest[-1]:.0f} %."
+        f"GelSight Mini. On five other sensors it is {others} %."
     )
     return "\n".join(textwrap.fill(one, WIDTH, subsequent_indent="  ") for one in (steep, contacts))
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelform.slopes import gradients
+from gelform.slopes import gradients, normals
 from gelform.slopes.gradients import (
     curl_from_gradients,
     gradients_from_depth,
@@ -42,6 +42,14 @@ def test_photometric_stereo_round_trip(seed, albedo):
     np.testing.assert_allclose(found, normals, atol=2e-5)
     np.testing.assert_allclose(found_albedo, albedo, rtol=2e-5)
     np.testing.assert_allclose(lights_from_normals(image, normals, albedo), LIGHTS, atol=1e-4)
+
+
+def test_the_kernel_of_normals_is_the_formula():
+    def reference(slopes, normals):
+        raw = np.concatenate([-slopes, np.ones_like(slopes[:, :1])], axis=1, dtype=np.float64)
+        return raw / np.linalg.norm(raw, axis=1, keepdims=True)
+
+    assert_kernel_agrees(normals._normals_of_slopes, reference)
 
 
 def test_a_black_pixel_looks_up():
