@@ -17,7 +17,7 @@ from gelform.calibration_file import Calibration, as_calibration
 from gelform.depth.coarse import CoarseDepth
 from gelform.depth.contact import PreparedContact, SlopeDeviations, Surround, off_rest, unknown_contact
 from gelform.depth.integrate import FrameDepth, Integration
-from gelform.depth.sigma import DepthErrors, DepthSigma, steep_finding
+from gelform.depth.sigma import DepthErrors, DepthSigma, Purpose, steep_finding
 from gelform.errors import Finding
 from gelform.foundations.checks import check_image
 from gelform.foundations.pool import Pool, keep_freed_memory
@@ -214,22 +214,20 @@ class FrameRecord:
         errors, most = self.depth_errors, self.fixed.limit.ignorance_mm
         if errors is None:
             return self.today.contact(*self.touch)
-        of_frame = (self._widened(one(most)) for one in (errors.own_sigma, errors.deepest_sigma))
-        return self.today.contact(*self.touch, *of_frame)
+        outline, deepest = (self._widened(errors.sigma(most, purpose)) for purpose in ("outline", "deepest"))
+        return self.today.contact(*self.touch, own_sigma=outline, deepest_sigma=deepest)
 
     @once
     def touch(self) -> tuple[Map, Any, SlopeDeviations | None, Mask]:
-        """What contacts are judged by: `_touch` by `contact_sigma`."""
-        return self._touch(DepthErrors.contact_sigma)
+        """What contacts are judged by."""
+        return self._touch("contact")
 
-    def _touch(
-        self, sigma_of: Callable[[DepthErrors, float], Map]
-    ) -> tuple[Map, Any, SlopeDeviations | None, Mask]:
-        """Depth, its deviation by `sigma_of`, those of the slopes, and known pixels (H, W)."""
+    def _touch(self, purpose: Purpose) -> tuple[Map, Any, SlopeDeviations | None, Mask]:
+        """Depth, its deviation for a purpose, those of the slopes, and known pixels (H, W)."""
         errors, deviations = self.depth_errors, None
         if self.fixed.known is not None:
             deviations = SlopeDeviations(self.budget.read, self.budget.solved, self.slopes.at_rest)
-        sigma = None if errors is None else sigma_of(errors, self.fixed.limit.ignorance_mm)
+        sigma = None if errors is None else errors.sigma(self.fixed.limit.ignorance_mm, purpose)
         return self.depth_mm, self._widened(sigma), deviations, self.known
 
     @once
@@ -240,7 +238,7 @@ class FrameRecord:
             of_depth = (
                 *steep_finding(self.depth_mm, self.contact, self.budget.steep, self.depth_errors),
                 *self.today.contact.pressed_background(
-                    *self._touch(DepthErrors.slope_sigma), touched=bool(self.contact.any())
+                    *self._touch("valley"), touched=bool(self.contact.any())
                 ),
             )
             if not any(one.name == "background_pressed" for one in of_depth):

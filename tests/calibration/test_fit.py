@@ -449,9 +449,9 @@ PRESS_SETS = (
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PRESS_SETS)
 def test_evaluate_takes_the_presses_that_calibrate_took(data, name):
-    """Of at most eight presses, whose circles nobody has marked."""
+    """Of at most six presses, whose circles nobody has marked."""
     presses = gelform.read_presses(data / name)
-    presses = presses.subset(range(0, len(presses.presses), -(-len(presses.presses) // 8)))
+    presses = presses.subset(range(0, len(presses.presses), -(-len(presses.presses) // 6)))
     presses = replace(presses, presses=tuple(replace(one, label=None) for one in presses.presses))
     presses = halved(presses) if name.startswith("homemade") else presses
     calibration = gelform.calibrate(presses, color_model="polynomial", start=None)

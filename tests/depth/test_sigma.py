@@ -114,9 +114,9 @@ def test_a_valley_makes_the_deepest_contact_no_less_certain():
     """Noise of 10 um, and a border that sinks by 1 mm: twice the mean of its squares is no error of a hill far from it."""
     noise = np.kron(np.random.default_rng(0).normal(0, 0.01, (30, 40)), np.ones((4, 4)))
     found = errors_of(noise + bump(1.0) + bump(-1.0, (20, 4)), factor=1e-3)
-    assert found.deepest_sigma(9.0)[60, 80] == pytest.approx((PULL * 0.01**2) ** 0.5, rel=0.3)
-    assert found.own_sigma(9.0)[60, 80] == pytest.approx((PULL * 0.01**2) ** 0.5, rel=0.3)
-    assert found.contact_sigma(9.0)[60, 80] > 0.05
+    assert found.sigma(9.0, "deepest")[60, 80] == pytest.approx((PULL * 0.01**2) ** 0.5, rel=0.3)
+    assert found.sigma(9.0, "outline")[60, 80] == pytest.approx((PULL * 0.01**2) ** 0.5, rel=0.3)
+    assert found.sigma(9.0, "contact")[60, 80] > 0.05
 
 
 def test_an_error_in_proportion_is_that_share_of_the_depth():
@@ -159,7 +159,7 @@ def test_it_is_bounded_and_the_contact_s_is_without_what_is_common():
     depth, at_rest = bump(0.5), bump(1.0) < 0.01
     found = errors_of(depth, at_rest, gain=0.5)
     assert found.sigma(0.01).max() == pytest.approx(0.01)
-    assert found.contact_sigma(9.0)[60, 80] < 0.5 * found.sigma(9.0)[60, 80]
+    assert found.sigma(9.0, "contact")[60, 80] < 0.5 * found.sigma(9.0)[60, 80]
     with pytest.raises(ConvergenceError, match="Expected a finite standard deviation of depth"):
         errors_of(1e25 * bump(-1.0))
 

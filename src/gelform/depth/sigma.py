@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -97,6 +98,19 @@ class DepthSigma:
         return DepthErrors(self.coarse, anywhere, of_contact, *numbers)
 
 
+Purpose = Literal["stated", "contact", "deepest", "outline", "valley"]
+# What each deviation of depth is for. All but the first leave out what all depths have in common, which makes no contact
+# less certain; `difference_sigma` leaves it out too.
+PURPOSES: dict[Purpose, str] = {
+    "stated": "what a result states",
+    "contact": "whether something touches: by the negative depths of the whole frame, because a hill that another light "
+    "makes may lie far from the valleys that it makes",
+    "deepest": "the same of the deepest region: valleys beside it, which may be its reaction, do not count",
+    "outline": "where a contact ends: by negative depths alone, those around each pixel too",
+    "valley": "whether a valley is a touch in the background: by the slopes alone, as if negative depths were no error",
+}
+
+
 @dataclass(frozen=True, eq=False)
 class DepthErrors:
     """The errors of one frame's depth on the coarser grid (r, c)."""
@@ -129,28 +143,18 @@ class DepthErrors:
         """Variance at every pixel (H, W), without what is common."""
         return self.coarse.at_pixels(self._with(self.own, self.spread))
 
-    def sigma(self, most_mm: float) -> Map:
-        """Standard deviation (H, W) of the depth, mm, `most_mm` at most."""
-        return self._root(self._with(self.own, self.spread) + np.square(self.common_mm), most_mm)
-
-    def contact_sigma(self, most_mm: float) -> Map:
-        """The one that makes no contact less certain for what all depths have in common.
-
-        A hill that another light makes may lie far from the valleys that it makes, so the whole frame's error counts.
-        """
-        return self._root(self._with(np.maximum(self.own, self.own_of_frame), self.contact_spread), most_mm)
-
-    def deepest_sigma(self, most_mm: float) -> Map:
-        """The one of the deepest contact: valleys beside it, which may be its reaction, do not count."""
-        return self._root(self._with(self.usual_of_frame, self.contact_spread), most_mm)
-
-    def own_sigma(self, most_mm: float) -> Map:
-        """The part of `deepest_sigma` that the frame itself shows, in its negative depths, and those around each pixel."""
-        return self._root(self._with(np.maximum(self.own, self.usual_of_frame), np.float32(0)), most_mm)
-
-    def slope_sigma(self, most_mm: float) -> Map:
-        """The one by the slopes alone, as of a frame whose negative depths are no error."""
-        return self._root(self.spread, most_mm)
+    def sigma(self, most_mm: float, purpose: Purpose = "stated") -> Map:
+        """Standard deviation (H, W) of the depth, mm, `most_mm` at most, for one of `PURPOSES`."""
+        own, variance = self.own, self.contact_spread
+        if purpose == "valley":
+            return self._root(self.spread, most_mm)
+        if purpose == "stated":
+            return self._root(self._with(own, self.spread) + np.square(self.common_mm), most_mm)
+        if purpose == "contact":
+            return self._root(self._with(np.maximum(own, self.own_of_frame), variance), most_mm)
+        if purpose == "deepest":
+            return self._root(self._with(self.usual_of_frame, variance), most_mm)
+        return self._root(self._with(np.maximum(own, self.usual_of_frame), np.float32(0)), most_mm)
 
     def difference_sigma(self, region: Mask) -> Map:
         """Standard deviation (H, W), mm, of the depth minus its mean over a region (H, W) of some pixels."""
