@@ -214,8 +214,9 @@ class FrameRecord:
         errors, most = self.depth_errors, self.fixed.limit.ignorance_mm
         if errors is None:
             return self.today.contact(*self.touch)
-        outline, deepest = (self._widened(errors.sigma(most, purpose)) for purpose in ("outline", "deepest"))
-        return self.today.contact(*self.touch, own_sigma=outline, deepest_sigma=deepest)
+        purposes: tuple[Purpose, ...] = "outline", "deepest"
+        of_frame = (self._widened(errors.sigma(most, purpose)) for purpose in purposes)
+        return self.today.contact(*self.touch, *of_frame)
 
     @once
     def touch(self) -> tuple[Map, Any, SlopeDeviations | None, Mask]:
