@@ -48,7 +48,14 @@ from gelform.depth.coarse import CoarseDepth
 from gelform.errors import CalibrationError, GelformError, Progress, no_progress
 from gelform.image.background import noise_from_image
 from gelform.result.metrics import score_slopes
-from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel, ForwardResponse, Samples
+from gelform.slopes.color_models import (
+    COLOR_MODELS,
+    DEFAULT_MODEL,
+    ColorModel,
+    ForwardResponse,
+    Samples,
+    StartableModel,
+)
 from gelform.slopes.color_models.forward_response import RIDGES, PreparedStep, Step
 from gelform.slopes.sigma import SlopeSigma, ends_shown
 
@@ -66,6 +73,8 @@ class Candidate:
     settings: tuple[tuple[str, Any], ...] = ()  # keywords of the model's `fit`, as pairs
     start: Start | None = None  # another unit's model, or None
     step_ridge: float | None = None  # ridge of the forward response; None: no step
+    # For an average: (share, candidate) of each fit with a step; the settings then only describe it.
+    parts: tuple[tuple[float, Candidate], ...] = ()
 
     @property
     def plain(self) -> Candidate:
@@ -172,6 +181,18 @@ class FittedSlopes(NamedTuple):
     def frame(self, press: PreparedPress) -> Step:
         """Slopes of the whole press."""
         return self.reader.frames(press, [self.forward])[0]
+
+
+def averaged(
+    average: Candidate, fits: Sequence[FittedSlopes], press: PreparedPress, untouched: float
+) -> FittedSlopes:
+    """One color model and one forward response, the means of those of an average's fits."""
+    shares = [share for share, _ in average.parts]
+    kind = fits[0].reader.model
+    assert isinstance(kind, StartableModel)
+    model = kind.average([fit.reader.model for fit in fits], shares)
+    responses = [fit.forward for fit in fits if fit.forward is not None]
+    return FittedSlopes(SlopeReader(model, press, untouched), ForwardResponse.average(responses, shares))
 
 
 def fitted_responses(
@@ -325,7 +346,13 @@ class HeldOutPresses:
 
     def fit(self, fold: Fold, candidates: Sequence[Candidate]) -> list[FittedSlopes]:
         """Fit candidates that differ only in their settings on a fold's training presses; the fits are kept."""
-        new = [one for one in dict.fromkeys(candidates) if (fold, one) not in self._fits]
+        unknown = [one for one in dict.fromkeys(candidates) if (fold, one) not in self._fits]
+        for one in unknown:
+            if one.parts:
+                presses, untouched = self.prepared_for(one)
+                fits = self.fit(fold, [part for _, part in one.parts])
+                self._fits[fold, one] = averaged(one, fits, presses[0], untouched)
+        new = [one for one in unknown if not one.parts]
         if new:
             presses, untouched = self.prepared_for(new[0])
             training = [presses[i] for i in fold.training]
@@ -401,6 +428,25 @@ def select(
     return Selection(by_all, tuple(by_fold), tuple(chain(*plain, *stepped.values())))
 
 
+def average(begun: Candidate, own: Candidate, held_out: HeldOutPresses) -> Selection:
+    """The average of a fit from a start and of one without it, each in inverse proportion to its squared error.
+
+    No criterion that few presses offer chooses rightly between the two; their mean is about as good as the better one.
+    """
+    presses = sum(len(fold.held_out) for fold in held_out.folds)
+    begun, own = (one.with_steps(presses)[0] for one in (begun, own))
+    trials = [held_out.try_candidates([one])[0] for one in (begun, own)]
+
+    def of(without: Sequence[int]) -> Candidate:
+        weights = [np.exp(-2 * trial.mean_log(without)) for trial in trials]
+        shares = (np.array(weights) / sum(weights)).tolist()
+        settings = (*begun.settings, *((f"own_{key}", value) for key, value in own.settings), ("own_share", shares[1]))
+        return replace(begun, settings=settings, parts=tuple(zip(shares, (begun, own))))
+
+    *by_fold, by_all = (of(fold) for fold in [*(fold.held_out for fold in held_out.folds), ()])
+    return Selection(by_all, tuple(by_fold), (*trials, *held_out.try_candidates([by_all])))
+
+
 def _best(trials: Sequence[Trial], without: Sequence[int]) -> Candidate:
     """The candidate with the smallest mean logarithm; the first one if there are too few presses."""
     return min(trials, key=lambda trial: trial.mean_log(without)).candidate
@@ -430,11 +476,14 @@ def fit(
     `compare` tries all models and does not change the selection.
     """
     accepted, start = len(located.refined.accepted), located.start
-    begun = [] if start is None else [candidates_from(start, accepted)]
-    choice = start is None or (start.offered and NEEDED.edge.met(accepted))
-    alone = [candidates_for(color_model, accepted)] if choice else []
     held_out = HeldOutPresses(located, folds)
-    selection = select([*begun, *alone], held_out, progress=progress)
+    begun = [] if start is None else [candidates_from(start, accepted)]
+    if start is not None and not NEEDED.edge.met(accepted):
+        selection = average(begun[0][0], candidates_for(color_model, accepted)[0], held_out)
+    else:
+        choice = start is None or start.offered
+        alone = [candidates_for(color_model, accepted)] if choice else []
+        selection = select([*begun, *alone], held_out, progress=progress)
     notes: tuple[str, ...] = ()
     if compare:
         selection, notes = _compared(selection, held_out, accepted, progress)
@@ -474,12 +523,17 @@ def fit_all(
     untouched: float,
 ) -> Calibration:
     """The calibration of presses by the selected candidate; its errors and its slope sigma are filled in later."""
-    noise = presses.background_noise
-    model = chosen.fit(training_samples(prepared, contacts))
-    step = chosen if chosen.step_ridge is not None else chosen.with_steps(len(prepared))[0]
-    assert step.step_ridge is not None
-    reader = SlopeReader(model, prepared[0], untouched)
-    (forward,) = fitted_responses(reader, prepared, contacts, [step.step_ridge], start=chosen.start)
+    noise, fits = presses.background_noise, []
+    samples = training_samples(prepared, contacts)
+    for one in [part for _, part in chosen.parts] or [chosen]:
+        reader = SlopeReader(one.fit(samples), prepared[0], untouched)
+        step = one if one.step_ridge is not None else one.with_steps(len(prepared))[0]
+        assert step.step_ridge is not None
+        (response,) = fitted_responses(reader, prepared, contacts, [step.step_ridge], start=one.start)
+        fits.append(FittedSlopes(reader, response))
+    reader, forward = averaged(chosen, fits, prepared[0], untouched) if chosen.parts else fits[0]
+    model = reader.model
+    assert forward is not None
     images = [press.image for press in presses.presses]
     levels = [image[one.pixels(contact, ZONE)] for image, one, contact in zip(images, prepared, contacts)]
     shares = ends_shown(np.concatenate(levels))  # under 1 % do not teach the effect of a clipped channel
