@@ -83,8 +83,6 @@ def test_another_units_model_is_followed_less_and_less():
     (few,) = candidates_from(start, 4)
     assert dict(few.settings)["ridge"] == pytest.approx(3 * ridges[0])
     assert [one.step_ridge for one in few.with_steps(4)] == [pytest.approx(3 * ridges[0])]
-    assert not few.may_not_step(4)
-    assert few.may_not_step(12)
 
 
 def test_a_fit_begins_at_the_other_units_model_where_there_is_one():

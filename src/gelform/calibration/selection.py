@@ -91,10 +91,6 @@ class Candidate:
         ridges = RIDGES if self.start is None else start_ridges(presses)
         return [replace(self, step_ridge=ridge) for ridge in ridges]
 
-    def may_not_step(self, presses: int) -> bool:
-        """Whether the candidate is also tried without a step; folds of few presses cannot decide it."""
-        return self.start is None or NEEDED.edge.met(presses)
-
     def fit(self, samples: Samples) -> ColorModel:
         """The color model, fitted on samples."""
         start = {} if self.start is None else {"start": self.start.model}
@@ -420,8 +416,7 @@ def select(
         finalists = []
         for trials in plain:
             leader = _best(trials, without)
-            without_step = [t for t in trials if t.candidate == leader and leader.may_not_step(presses)]
-            finalists += [*without_step, *stepped[leader]]
+            finalists += [*(t for t in trials if t.candidate == leader), *stepped[leader]]
         return _best(finalists, without)
 
     *by_fold, by_all = map(chosen, left_out)
@@ -440,7 +435,11 @@ def average(begun: Candidate, own: Candidate, held_out: HeldOutPresses) -> Selec
     def of(without: Sequence[int]) -> Candidate:
         weights = [np.exp(-2 * trial.mean_log(without)) for trial in trials]
         shares = (np.array(weights) / sum(weights)).tolist()
-        settings = (*begun.settings, *((f"own_{key}", value) for key, value in own.settings), ("own_share", shares[1]))
+        settings = (
+            *begun.settings,
+            *((f"own_{key}", value) for key, value in own.settings),
+            ("own_share", shares[1]),
+        )
         return replace(begun, settings=settings, parts=tuple(zip(shares, (begun, own))))
 
     *by_fold, by_all = (of(fold) for fold in [*(fold.held_out for fold in held_out.folds), ()])

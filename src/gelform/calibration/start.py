@@ -33,7 +33,9 @@ class Start:
     digest: str  # of its calibration
     spread: float  # relative standard deviation of slopes between units
     by: str  # description of its origin
-    edge: float | None = None  # radius of its contact edge over that of the visible rim, which few presses cannot measure
+    edge: float | None = (
+        None  # radius of its contact edge over that of the visible rim, which few presses cannot measure
+    )
     offered: bool = False  # whether a fit without it is tried too, and kept if held-out presses prefer it
     note: str = ""  # for the user, if it is of another gel
 

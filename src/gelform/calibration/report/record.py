@@ -135,7 +135,8 @@ def _of_starter(selection: Selection, offered: Start | None) -> tuple[str, ...]:
         return ()
     single = [one for one in selection.trials if not one.candidate.parts]
     with_start, without = (
-        [one.mean_log() for one in single if (one.candidate.start is not None) == begun] for begun in (True, False)
+        [one.mean_log() for one in single if (one.candidate.start is not None) == begun]
+        for begun in (True, False)
     )
     used = "was used" if selection.chosen.start is not None else "was not used"
     if selection.chosen.parts:
