@@ -382,7 +382,7 @@ def test_steps_are_tried_of_what_leads_alone():
 
 
 def test_a_fit_from_a_start_is_averaged_with_one_without():
-    """In inverse proportion to their squared errors on held-out presses; a fold's own presses do not weigh what scores it."""
+    """In inverse proportion to their squared errors on held-out presses; a fold's own do not weigh what scores it."""
     start = start_at(HierarchicalModel(np.zeros((3, 3, 19, 2)), 3, (24, 20)))
     (begun,) = candidates_from(start, 4)
     held_out = MadeUpPresses(lambda c, i: 0.02 * (9 if first_fold(i) else 1) if c.start is None else 0.04)

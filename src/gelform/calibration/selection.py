@@ -260,6 +260,14 @@ def fold_of(located: Located, held_out: Sequence[int], training: Sequence[int]) 
     return Fold(tuple(held_out), tuple(training[k] for k in kept), tuple(refined.contacts[k] for k in kept))
 
 
+def refined_alone(located: Located, fold: Fold) -> Fold:
+    """The fold, with the circles of its training presses as they are without a start; as it is if too few then fit."""
+    if located.refined_by is None:
+        return fold
+    alone = fold_of(replace(located, refined_by=None), fold.held_out, fold.training)
+    return alone if NEEDED.model.met(len(alone.training)) else fold
+
+
 def circle_sigmas(located: Located, folds: Sequence[Fold]) -> dict[int, tuple[float, float]]:
     """Standard deviations, px, of each accepted press's center (either axis) and of its visible radius.
 
@@ -331,6 +339,7 @@ class HeldOutPresses:
         default_factory=dict, init=False, repr=False
     )
     _fits: dict[tuple[Fold, Candidate], FittedSlopes] = field(default_factory=dict, init=False, repr=False)
+    _alone: dict[Fold, Fold] = field(default_factory=dict, init=False, repr=False)
 
     def prepared_for(self, candidate: Candidate) -> tuple[list[PreparedPress], float]:
         """The presses with the color changes that a candidate reads, and the largest change of gel at rest; kept."""
@@ -346,13 +355,14 @@ class HeldOutPresses:
         for one in unknown:
             if one.parts:
                 presses, untouched = self.prepared_for(one)
-                fits = self.fit(fold, [part for _, part in one.parts])
+                fits = [self.fit(fold, [part])[0] for _, part in one.parts]
                 self._fits[fold, one] = averaged(one, fits, presses[0], untouched)
         new = [one for one in unknown if not one.parts]
         if new:
             presses, untouched = self.prepared_for(new[0])
-            training = [presses[i] for i in fold.training]
-            samples = training_samples(training, fold.contacts, total=TRIAL_SAMPLES)
+            own = fold if new[0].start is not None else self._refined_alone(fold)
+            training = [presses[i] for i in own.training]
+            samples = training_samples(training, own.contacts, total=TRIAL_SAMPLES)
             for plain in dict.fromkeys(one.plain for one in new):
                 if (fold, plain) not in self._fits:
                     reader = SlopeReader(plain.fit(samples), presses[0], untouched)
@@ -361,11 +371,17 @@ class HeldOutPresses:
                 stepped = {s.step_ridge: s for s in new if s.plain == plain and s.step_ridge is not None}
                 if stepped:
                     responses = fitted_responses(
-                        reader, training, fold.contacts, list(stepped), start=plain.start, total=TRIAL_SAMPLES
+                        reader, training, own.contacts, list(stepped), start=plain.start, total=TRIAL_SAMPLES
                     )
                     for one, forward in zip(stepped.values(), responses):
                         self._fits[fold, one] = FittedSlopes(reader, forward)
         return [self._fits[fold, one] for one in candidates]
+
+    def _refined_alone(self, fold: Fold) -> Fold:
+        """The fold with circles that no start has moved, for fits without one; kept."""
+        if fold not in self._alone:
+            self._alone[fold] = refined_alone(self.located, fold)
+        return self._alone[fold]
 
     def try_candidates(
         self, candidates: Sequence[Candidate], folds: Sequence[Fold] | None = None
@@ -489,7 +505,9 @@ def fit(
     prepared, untouched = held_out.prepared_for(selection.chosen)
     used, contacts = located.refined.of_accepted(prepared)
     own = located.presses.subset(located.refined.accepted)
-    calibration = fit_all(own, used, contacts, selection.chosen, untouched)
+    whole = refined_alone(located, Fold((), tuple(located.refined.accepted), tuple(contacts)))
+    alone = [prepared[i] for i in whole.training], whole.contacts
+    calibration = fit_all(own, used, contacts, selection.chosen, untouched, alone)
     shown = set(located.refined.accepted)  # a frame that shows a used press again is no new one either
     digests = [
         one.digest for i, one in enumerate(located.presses.presses) if located.repeated.get(i, i) in shown
@@ -520,15 +538,19 @@ def fit_all(
     contacts: Sequence[ContactCircle],
     chosen: Candidate,
     untouched: float,
+    alone: tuple[Sequence[PreparedPress], Sequence[ContactCircle]] | None = None,
 ) -> Calibration:
-    """The calibration of presses by the selected candidate; its errors and its slope sigma are filled in later."""
+    """The calibration of presses by the selected candidate; its errors and its slope sigma are filled in later.
+
+    A fit without a start takes the presses and circles `alone` instead, if they are given.
+    """
     noise, fits = presses.background_noise, []
-    samples = training_samples(prepared, contacts)
     for one in [part for _, part in chosen.parts] or [chosen]:
-        reader = SlopeReader(one.fit(samples), prepared[0], untouched)
+        how = (prepared, contacts) if alone is None or one.start is not None else alone
+        reader = SlopeReader(one.fit(training_samples(*how)), prepared[0], untouched)
         step = one if one.step_ridge is not None else one.with_steps(len(prepared))[0]
         assert step.step_ridge is not None
-        (response,) = fitted_responses(reader, prepared, contacts, [step.step_ridge], start=one.start)
+        (response,) = fitted_responses(reader, *how, [step.step_ridge], start=one.start)
         fits.append(FittedSlopes(reader, response))
     reader, forward = averaged(chosen, fits, prepared[0], untouched) if chosen.parts else fits[0]
     model = reader.model
