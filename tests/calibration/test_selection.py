@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gelform.calibration import held_out as held_out_module
 from gelform.calibration import selection as module
 from gelform.calibration.circles.find import (
     TRIAL_SAMPLES,
@@ -19,6 +20,7 @@ from gelform.calibration.circles.find import (
 )
 from gelform.calibration.circles.locate import Located, refine
 from gelform.calibration.coverage import FOLDS
+from gelform.calibration.held_out import _jackknife, circle_sigmas
 from gelform.calibration.selection import (
     LEAST_STEP_SIGMA,
     STEP_SIGMAS,
@@ -29,11 +31,9 @@ from gelform.calibration.selection import (
     HeldOutSlopeScore,
     SlopeReader,
     Trial,
-    _jackknife,
     average,
     candidates_for,
     candidates_from,
-    circle_sigmas,
     fitted_responses,
     fold_of,
     make_folds,
@@ -305,8 +305,8 @@ def test_a_press_that_is_left_out_is_placed_by_the_others(monkeypatch, folds, si
     def drawn(press, contact, model):
         return replace(contact, x_px=contact.x_px + 1.0)
 
-    monkeypatch.setattr(module, "fit_model", lambda *_: None)
-    monkeypatch.setattr(module, "recentered", drawn)
+    monkeypatch.setattr(held_out_module, "fit_model", lambda *_: None)
+    monkeypatch.setattr(held_out_module, "recentered", drawn)
     blank = np.zeros((24, 20), np.float32)
     located = Located(None, [PreparedPress("", blank[..., None], blank, 8.0, CIRCLE)] * 2, None)
     assert circle_sigmas(located, folds) == sigma

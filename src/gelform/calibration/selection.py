@@ -39,9 +39,9 @@ from gelform.calibration.circles.find import (
     training_samples,
     untouched_change,
 )
-from gelform.calibration.circles.locate import ROUNDS, Located, fit_model, recentered, refine
+from gelform.calibration.circles.locate import Located, refine
 from gelform.calibration.coverage import FOLDS, NEEDED, SAMPLED
-from gelform.calibration.presses.press_set import Circle, Presses
+from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.start import AUTO, Start
 from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.depth.coarse import CoarseDepth
@@ -266,33 +266,6 @@ def refined_alone(located: Located, fold: Fold) -> Fold:
         return fold
     alone = fold_of(replace(located, refined_by=None), fold.held_out, fold.training)
     return alone if NEEDED.model.met(len(alone.training)) else fold
-
-
-def circle_sigmas(located: Located, folds: Sequence[Fold]) -> dict[int, tuple[float, float]]:
-    """Standard deviations, px, of each accepted press's center (either axis) and of its visible radius.
-
-    It is a delete-a-group jackknife (B. Efron, The Jackknife, SIAM 1982, eq. 3.6) of the joint refinement: each circle is
-    refined without each fold; without its own fold, it is fitted to a model that has not seen it. An error common to all
-    refinements is not in it; on simulated presses distances to the truth are about 1.5 times as large.
-    """
-    circles: dict[int, list[Circle]] = {}
-    for fold in folds:
-        for i, contact in zip(fold.training, fold.contacts):
-            circles.setdefault(i, []).append(contact.circle_px)
-        if fold.training:
-            model = fit_model([located.prepared[i] for i in fold.training], fold.contacts, located.refined_by)
-            for i in fold.held_out:
-                contact = located.prepared[i].found
-                for _ in range(ROUNDS):
-                    contact = recentered(located.prepared[i], contact, model)
-                circles.setdefault(i, []).append(contact.circle_px)
-    return {i: _jackknife(np.array(known)) for i, known in circles.items() if len(known) > 1}
-
-
-def _jackknife(circles: Numbers) -> tuple[float, float]:
-    count = len(circles)
-    variance = (count - 1) / count * np.sum((circles - circles.mean(axis=0)) ** 2, axis=0)
-    return float(np.sqrt(variance[:2].mean())), float(np.sqrt(variance[2]))
 
 
 class HeldOutSlopeScore(NamedTuple):
