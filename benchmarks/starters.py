@@ -264,8 +264,7 @@ def main() -> None:
     for name in asked.parts:
         if name != "simulated" and data_is_missing(name):
             continue
-        drawn = {"presses": asked.draws, "few": min(asked.draws, 4)}
-        results[name] = PARTS[name](drawn[name]) if name in drawn else PARTS[name]()
+        results[name] = presses(asked.draws) if name == "presses" else PARTS[name]()
         write("starters", results)
 
 

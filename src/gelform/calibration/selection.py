@@ -10,6 +10,8 @@ press nor a circle that it helped to place is ever in the model that scores it.
 The score is the mean logarithm of each press's slope error inside the contact edge. One press with a wrong circle can
 dominate a mean of errors, but moves a mean of logarithms only by a few per cent.
 
+Folds of under 12 presses cannot choose between a start and none; there both fits are averaged.
+
 Reporting the scores of the selection would flatter them. So each fold's presses are reported with the candidate that the
 other folds' presses select.
 """
@@ -460,7 +462,8 @@ def fit(
 ) -> Fitted:
     """Select the stiffness of the color model and its forward response on held-out presses, and fit both on all.
 
-    The color model is ignored if `located` has another unit's, unless it was just offered and 12 presses or more can choose.
+    A fit from another unit's model is of its kind. Under 12 presses do not choose between such a fit and one without it, and
+    both are averaged. From 12 on, they choose if the other unit's was just offered.
     `compare` tries all models and does not change the selection.
     """
     accepted, start = len(located.refined.accepted), located.start
