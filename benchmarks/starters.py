@@ -23,7 +23,7 @@ from gelform.calibration.circles.locate import locate
 from gelform.calibration.inputs import MOST_SIGMAS, ball_readings
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report import report_content
-from gelform.calibration.selection import fit, fit_all, make_folds
+from gelform.calibration.selection import Fold, fit, fit_all, make_folds, refined_alone
 from gelform.calibration.start import start_from
 from gelform.calibration.starters import Starter, load_starter, starter_from_calibration
 from gelform.errors import CalibrationError
@@ -171,10 +171,14 @@ def _fits(presses: Presses, unit: gelform.Calibration) -> dict[str, gelform.Cali
     fitted = fit(located, make_folds(located), "auto")
     prepared, untouched = fitted.held_out.prepared_for(fitted.selection.chosen)
     own, how = presses.subset(located.refined.accepted), located.refined.of_accepted(prepared)
+    whole = refined_alone(located, Fold((), tuple(located.refined.accepted), tuple(how[1])))
     found = {"average": made}
     for kind, (_, part) in zip(("started", "alone"), fitted.selection.chosen.parts):
-        one = fit_all(own, *how, part, untouched)
-        found[kind] = replace(made, color_model=one.color_model, forward=one.forward)
+        one = fit_all(own, *how, part, untouched, ([prepared[i] for i in whole.training], whole.contacts))
+        assert one.forward is not None
+        assert made.forward is not None
+        forward = replace(one.forward, residual_scale=made.forward.residual_scale)
+        found[kind] = replace(made, color_model=one.color_model, forward=forward)
     return found
 
 
