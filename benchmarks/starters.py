@@ -1,7 +1,7 @@
 """Starters: depth of a unit without presses, few presses with a starter, and detection of a wrong ball diameter.
 
     python benchmarks/starters.py             # about an hour; writes results/starters.json
-    python benchmarks/starters.py units       # one part: units, presses, balls, simulated
+    python benchmarks/starters.py units       # one part: units, presses, few, balls, simulated
     python benchmarks/starters.py presses --draws 3
     python benchmarks/starters.py --make      # makes the starters that the package ships, from the data
 
@@ -12,6 +12,7 @@ here.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from gelform.calibration.circles.locate import locate
 from gelform.calibration.inputs import MOST_SIGMAS, ball_readings
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report import report_content
+from gelform.calibration.selection import Fold, fit, fit_all, make_folds, refined_alone
 from gelform.calibration.start import start_from
 from gelform.calibration.starters import Starter, load_starter, starter_from_calibration
 from gelform.errors import CalibrationError
@@ -34,6 +36,8 @@ FOLDS, DRAWS = 3, 10
 SIZES = (3, 5, 8, 12, 20, 33)
 FACTORS = (0.5, 0.8, 1.0, 1.2, 1.25, 2.0)
 SETS = ("mini-ball", "mini-d", "digit-ball", "gelslim", "gelslim-dots", "gelsight-ball-deep")
+PAIRS = {"digit-c": "digit-ball", "digit-ball": "digit-c", "mini-d": "mini-ball", "mini-ball": "mini-d"}
+FEW, TEST = (5, 7), 10  # presses that calibrate, and at most so many others that judge
 SHARES = ("within_sigma_percent", "sure_inner_percent")
 SHOWN = (*KEYS, *SHARES)
 UNSEEN = 11  # number of a simulated unit outside the starter
@@ -132,6 +136,52 @@ def _drawn(
     return found
 
 
+def few(draws: int = 4) -> dict[str, Any]:
+    """5 and 7 presses of four units, with the other unit of the make as a start: each fit, and the average that is kept."""
+    found: dict[str, Any] = {}
+    for name, other in PAIRS.items():
+        known, first = (labeled(real_unit(one)) for one in (name, other))
+        shipped = load_starter("digit" if name.startswith("digit") else "gelsight-mini")
+        stated = {"spread": shipped.spread, "color_variance": shipped.color_variance}
+        own = gelform.calibrate(unlabeled(first), start=None)
+        starter = starter_from_calibration(own, shipped.sensor, units=(other,), **stated)
+        unit, rng = unit_of(starter, known.background, known.mm_per_px), np.random.default_rng(0)
+        for size in FEW:
+            rows: dict[str, list[dict[str, float]]] = {}
+            for _ in range(draws):
+                order = rng.permutation(len(known.presses)).tolist()
+                training, test = unlabeled(known, order[:size]), known.subset(order[size:][-TEST:])
+                for kind, one in _fits(training, unit).items():
+                    rows.setdefault(kind, []).append(judged(one, test, EDGES.get(name, EDGES["digit-ball"])))
+            kinds = {
+                k: {key: float(np.mean([r[key] for r in of])) for key in SHOWN} for k, of in rows.items()
+            }
+            found[f"{name} from {other}, {size} presses"] = kinds
+            print(
+                table([f"{name} from {other}, {size}", *SHOWN], [[k, *v.values()] for k, v in kinds.items()]),
+                flush=True,
+            )
+    return {**found, "draws": draws}
+
+
+def _fits(presses: Presses, unit: gelform.Calibration) -> dict[str, gelform.Calibration]:
+    """The calibration of few presses with a start, and what its color model and response would be of one fit alone."""
+    made = gelform.calibrate(presses, start=unit)
+    located = locate(presses, start_from(unit, presses, "auto"))
+    fitted = fit(located, make_folds(located), "auto")
+    prepared, untouched = fitted.held_out.prepared_for(fitted.selection.chosen)
+    own, how = presses.subset(located.refined.accepted), located.refined.of_accepted(prepared)
+    whole = refined_alone(located, Fold((), tuple(located.refined.accepted), tuple(how[1])))
+    found = {"average": made}
+    for kind, (_, part) in zip(("started", "alone"), fitted.selection.chosen.parts):
+        one = fit_all(own, *how, part, untouched, ([prepared[i] for i in whole.training], whole.contacts))
+        assert one.forward is not None
+        assert made.forward is not None
+        forward = replace(one.forward, residual_scale=made.forward.residual_scale)
+        found[kind] = replace(made, color_model=one.color_model, forward=forward)
+    return found
+
+
 def balls() -> dict[str, Any]:
     """Every real set with right and wrong diameters: recovered sizes, and the verdict."""
     found: dict[str, Any] = {"read": _read_by_others(), "verdicts": {}}
@@ -202,7 +252,7 @@ def simulated() -> dict[str, Any]:
     return found
 
 
-PARTS = {"units": units, "presses": presses, "balls": balls, "simulated": simulated}
+PARTS = {"units": units, "presses": presses, "few": few, "balls": balls, "simulated": simulated}
 
 
 def main() -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gelform.calibration import held_out as held_out_module
 from gelform.calibration import selection as module
 from gelform.calibration.circles.find import (
     TRIAL_SAMPLES,
@@ -19,6 +20,7 @@ from gelform.calibration.circles.find import (
 )
 from gelform.calibration.circles.locate import Located, refine
 from gelform.calibration.coverage import FOLDS
+from gelform.calibration.held_out import _jackknife, circle_sigmas
 from gelform.calibration.selection import (
     LEAST_STEP_SIGMA,
     STEP_SIGMAS,
@@ -29,10 +31,9 @@ from gelform.calibration.selection import (
     HeldOutSlopeScore,
     SlopeReader,
     Trial,
-    _jackknife,
+    average,
     candidates_for,
     candidates_from,
-    circle_sigmas,
     fitted_responses,
     fold_of,
     make_folds,
@@ -82,8 +83,6 @@ def test_another_units_model_is_followed_less_and_less():
     (few,) = candidates_from(start, 4)
     assert dict(few.settings)["ridge"] == pytest.approx(3 * ridges[0])
     assert [one.step_ridge for one in few.with_steps(4)] == [pytest.approx(3 * ridges[0])]
-    assert not few.may_not_step(4)
-    assert few.may_not_step(12)
 
 
 def test_a_fit_begins_at_the_other_units_model_where_there_is_one():
@@ -306,8 +305,8 @@ def test_a_press_that_is_left_out_is_placed_by_the_others(monkeypatch, folds, si
     def drawn(press, contact, model):
         return replace(contact, x_px=contact.x_px + 1.0)
 
-    monkeypatch.setattr(module, "fit_model", lambda *_: None)
-    monkeypatch.setattr(module, "recentered", drawn)
+    monkeypatch.setattr(held_out_module, "fit_model", lambda *_: None)
+    monkeypatch.setattr(held_out_module, "recentered", drawn)
     blank = np.zeros((24, 20), np.float32)
     located = Located(None, [PreparedPress("", blank[..., None], blank, 8.0, CIRCLE)] * 2, None)
     assert circle_sigmas(located, folds) == sigma
@@ -380,6 +379,46 @@ def test_steps_are_tried_of_what_leads_alone():
     assert found.chosen == STIFF
     assert held_out.tried == [[STIFF, FREE], [replace(STIFF, step_ridge=ridge) for ridge in RIDGES]]
     assert [one.candidate for one in found.trials] == [*held_out.tried[0], *held_out.tried[1]]
+
+
+def test_a_fit_from_a_start_is_averaged_with_one_without():
+    """In inverse proportion to their squared errors on held-out presses; a fold's own do not weigh what scores it."""
+    start = start_at(HierarchicalModel(np.zeros((3, 3, 19, 2)), 3, (24, 20)))
+    (begun,) = candidates_from(start, 4)
+    held_out = MadeUpPresses(lambda c, i: 0.02 * (9 if first_fold(i) else 1) if c.start is None else 0.04)
+    found = average(begun, STIFF, held_out)
+    (first, one), (second, other) = found.chosen.parts
+    logs = np.log(0.02) + 0.2 * np.log(9), np.log(0.04)
+    assert second / first == pytest.approx(np.exp(2 * (logs[1] - logs[0])))
+    assert first + second == pytest.approx(1)
+    assert (one.start, other.start) == (start, None)
+    assert (one.step_ridge, other.step_ridge) == (begun.with_steps(20)[0].step_ridge, RIDGES[0])
+    shares = [fold.parts[1][0] for fold in found.by_fold]
+    assert shares == pytest.approx([0.8, *[shares[1]] * 4])
+    assert shares[1] < second < 0.8
+    assert {found.chosen} <= {trial.candidate for trial in found.trials}
+
+
+def test_the_mean_of_two_fits_lies_between_them_and_knows_their_distance(held_out, folds, prepared):
+    """One reader: of slopes it reads the mean. Its covariance has the distance of the two in it."""
+    whole = candidates_for("hierarchical", 12)[0]
+    away = replace(
+        (model := whole.fit(training_samples(prepared, held_out.located.refined.contacts))),
+        nodes=1.5 * model.nodes,
+    )
+    start = start_at(away)
+    parts = [replace(candidates_from(start, 4)[0], step_ridge=1.0), replace(whole, step_ridge=RIDGES[0])]
+    both = replace(parts[0], parts=tuple(zip((0.25, 0.75), parts)))
+    mean, one, other = held_out.fit(folds[0], [both, *parts])
+    change, at = np.full((5, 3), 0.1), (np.arange(5), np.arange(5))
+    slopes = [fit.reader.model.gradients_at(change, *at) for fit in (mean, one, other)]
+    np.testing.assert_allclose(slopes[0], 0.25 * slopes[1] + 0.75 * slopes[2])
+    assert not np.allclose(slopes[1], slopes[2])
+    covariances = [fit.forward.covariance for fit in (mean, one, other)]
+    np.testing.assert_allclose(covariances[0], 0.25 * covariances[1] + 0.75 * covariances[2])
+    priors = [fit.forward.step_sigma[0] for fit in (mean, one, other)]
+    assert min(priors[1:]) < priors[0] < max(priors[1:])
+    assert held_out.try_candidates([both], folds[:1])[0].scores
 
 
 def first_fold(i):

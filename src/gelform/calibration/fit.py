@@ -57,7 +57,8 @@ def calibrate(
     color_model : "auto" or a name in `gelform.slopes.color_models.COLOR_MODELS`
     start : "auto", None, or the calibration of another unit of the same sensor, of any color model, or its file
         Its model is kept where these presses give no other information, so five presses suffice. "auto" also tries the
-        starter of a known make, and keeps it if held-out presses are not read worse; None tries none.
+        starter of a known make, and keeps it if held-out presses are not read worse; None tries none. Under 12 presses, a
+        fit from the start and one without it are averaged, and the contact edge is the start's.
     compare : whether every color model is tried on the same folds, for the report's table; the selection stays the same
     progress : called with (done, total, what)
 

@@ -23,8 +23,9 @@ from gelform.calibration.circles.find import (
     distances_px,
     scale_of,
 )
+from gelform.calibration.circles.locate import ROUNDS, Located, fit_model, recentered
 from gelform.calibration.presses.press_set import Circle, Press
-from gelform.calibration.selection import Candidate, Fitted, FittedSlopes, Fold, HeldOutPresses, circle_sigmas
+from gelform.calibration.selection import Candidate, Fitted, FittedSlopes, Fold, HeldOutPresses
 from gelform.calibration_file import Calibration
 from gelform.depth.sigma import squared_factor
 from gelform.errors import Progress, no_progress
@@ -411,3 +412,30 @@ def _ring_squares(press: Array, sigma: SlopeSigma, single: float) -> Iterator[fl
         share = sigma.correlated_share
         explained = single * (share * float(alike.mean()) + (1 - share) / len(pixels))
         yield (error**2 - explained) / float(size.mean()) ** 2
+
+
+def circle_sigmas(located: Located, folds: Sequence[Fold]) -> dict[int, tuple[float, float]]:
+    """Standard deviations, px, of each accepted press's center (either axis) and of its visible radius.
+
+    It is a delete-a-group jackknife (B. Efron, The Jackknife, SIAM 1982, eq. 3.6) of the joint refinement: each circle is
+    refined without each fold; without its own fold, it is fitted to a model that has not seen it. An error common to all
+    refinements is not in it; on simulated presses distances to the truth are about 1.5 times as large.
+    """
+    circles: dict[int, list[Circle]] = {}
+    for fold in folds:
+        for i, contact in zip(fold.training, fold.contacts):
+            circles.setdefault(i, []).append(contact.circle_px)
+        if fold.training:
+            model = fit_model([located.prepared[i] for i in fold.training], fold.contacts, located.refined_by)
+            for i in fold.held_out:
+                contact = located.prepared[i].found
+                for _ in range(ROUNDS):
+                    contact = recentered(located.prepared[i], contact, model)
+                circles.setdefault(i, []).append(contact.circle_px)
+    return {i: _jackknife(np.array(known)) for i, known in circles.items() if len(known) > 1}
+
+
+def _jackknife(circles: Numbers) -> tuple[float, float]:
+    count = len(circles)
+    variance = (count - 1) / count * np.sum((circles - circles.mean(axis=0)) ** 2, axis=0)
+    return float(np.sqrt(variance[:2].mean())), float(np.sqrt(variance[2]))

@@ -10,6 +10,8 @@ press nor a circle that it helped to place is ever in the model that scores it.
 The score is the mean logarithm of each press's slope error inside the contact edge. One press with a wrong circle can
 dominate a mean of errors, but moves a mean of logarithms only by a few per cent.
 
+Folds of under 12 presses cannot choose between a start and none; there both fits are averaged.
+
 Reporting the scores of the selection would flatter them. So each fold's presses are reported with the candidate that the
 other folds' presses select.
 """
@@ -39,16 +41,23 @@ from gelform.calibration.circles.find import (
     training_samples,
     untouched_change,
 )
-from gelform.calibration.circles.locate import ROUNDS, Located, fit_model, recentered, refine
+from gelform.calibration.circles.locate import Located, refine
 from gelform.calibration.coverage import FOLDS, NEEDED, SAMPLED
-from gelform.calibration.presses.press_set import Circle, Presses
+from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.start import AUTO, Start
 from gelform.calibration_file import Calibration, CalibrationSettings
 from gelform.depth.coarse import CoarseDepth
 from gelform.errors import CalibrationError, GelformError, Progress, no_progress
 from gelform.image.background import noise_from_image
 from gelform.result.metrics import score_slopes
-from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel, ForwardResponse, Samples
+from gelform.slopes.color_models import (
+    COLOR_MODELS,
+    DEFAULT_MODEL,
+    ColorModel,
+    ForwardResponse,
+    Samples,
+    StartableModel,
+)
 from gelform.slopes.color_models.forward_response import RIDGES, PreparedStep, Step
 from gelform.slopes.sigma import SlopeSigma, ends_shown
 
@@ -66,6 +75,8 @@ class Candidate:
     settings: tuple[tuple[str, Any], ...] = ()  # keywords of the model's `fit`, as pairs
     start: Start | None = None  # another unit's model, or None
     step_ridge: float | None = None  # ridge of the forward response; None: no step
+    # For an average: (share, candidate) of each fit with a step; the settings then only describe it.
+    parts: tuple[tuple[float, Candidate], ...] = ()
 
     @property
     def plain(self) -> Candidate:
@@ -81,10 +92,6 @@ class Candidate:
         """The same candidate with each step to try for a number of presses, the stiffest first."""
         ridges = RIDGES if self.start is None else start_ridges(presses)
         return [replace(self, step_ridge=ridge) for ridge in ridges]
-
-    def may_not_step(self, presses: int) -> bool:
-        """Whether the candidate is also tried without a step; folds of few presses cannot decide it."""
-        return self.start is None or NEEDED.edge.met(presses)
 
     def fit(self, samples: Samples) -> ColorModel:
         """The color model, fitted on samples."""
@@ -174,6 +181,18 @@ class FittedSlopes(NamedTuple):
         return self.reader.frames(press, [self.forward])[0]
 
 
+def averaged(
+    average: Candidate, fits: Sequence[FittedSlopes], press: PreparedPress, untouched: float
+) -> FittedSlopes:
+    """One color model and one forward response, the means of those of an average's fits."""
+    shares = [share for share, _ in average.parts]
+    kind = fits[0].reader.model
+    assert isinstance(kind, StartableModel)
+    model = kind.average([fit.reader.model for fit in fits], shares)
+    responses = [fit.forward for fit in fits if fit.forward is not None]
+    return FittedSlopes(SlopeReader(model, press, untouched), ForwardResponse.average(responses, shares))
+
+
 def fitted_responses(
     reader: SlopeReader,
     presses: Sequence[PreparedPress],
@@ -243,31 +262,12 @@ def fold_of(located: Located, held_out: Sequence[int], training: Sequence[int]) 
     return Fold(tuple(held_out), tuple(training[k] for k in kept), tuple(refined.contacts[k] for k in kept))
 
 
-def circle_sigmas(located: Located, folds: Sequence[Fold]) -> dict[int, tuple[float, float]]:
-    """Standard deviations, px, of each accepted press's center (either axis) and of its visible radius.
-
-    It is a delete-a-group jackknife (B. Efron, The Jackknife, SIAM 1982, eq. 3.6) of the joint refinement: each circle is
-    refined without each fold; without its own fold, it is fitted to a model that has not seen it. An error common to all
-    refinements is not in it; on simulated presses distances to the truth are about 1.5 times as large.
-    """
-    circles: dict[int, list[Circle]] = {}
-    for fold in folds:
-        for i, contact in zip(fold.training, fold.contacts):
-            circles.setdefault(i, []).append(contact.circle_px)
-        if fold.training:
-            model = fit_model([located.prepared[i] for i in fold.training], fold.contacts, located.refined_by)
-            for i in fold.held_out:
-                contact = located.prepared[i].found
-                for _ in range(ROUNDS):
-                    contact = recentered(located.prepared[i], contact, model)
-                circles.setdefault(i, []).append(contact.circle_px)
-    return {i: _jackknife(np.array(known)) for i, known in circles.items() if len(known) > 1}
-
-
-def _jackknife(circles: Numbers) -> tuple[float, float]:
-    count = len(circles)
-    variance = (count - 1) / count * np.sum((circles - circles.mean(axis=0)) ** 2, axis=0)
-    return float(np.sqrt(variance[:2].mean())), float(np.sqrt(variance[2]))
+def refined_alone(located: Located, fold: Fold) -> Fold:
+    """The fold, with the circles of its training presses as they are without a start; as it is if too few then fit."""
+    if located.refined_by is None:
+        return fold
+    alone = fold_of(replace(located, refined_by=None), fold.held_out, fold.training)
+    return alone if NEEDED.model.met(len(alone.training)) else fold
 
 
 class HeldOutSlopeScore(NamedTuple):
@@ -314,6 +314,7 @@ class HeldOutPresses:
         default_factory=dict, init=False, repr=False
     )
     _fits: dict[tuple[Fold, Candidate], FittedSlopes] = field(default_factory=dict, init=False, repr=False)
+    _alone: dict[Fold, Fold] = field(default_factory=dict, init=False, repr=False)
 
     def prepared_for(self, candidate: Candidate) -> tuple[list[PreparedPress], float]:
         """The presses with the color changes that a candidate reads, and the largest change of gel at rest; kept."""
@@ -325,11 +326,18 @@ class HeldOutPresses:
 
     def fit(self, fold: Fold, candidates: Sequence[Candidate]) -> list[FittedSlopes]:
         """Fit candidates that differ only in their settings on a fold's training presses; the fits are kept."""
-        new = [one for one in dict.fromkeys(candidates) if (fold, one) not in self._fits]
+        unknown = [one for one in dict.fromkeys(candidates) if (fold, one) not in self._fits]
+        for one in unknown:
+            if one.parts:
+                presses, untouched = self.prepared_for(one)
+                fits = [self.fit(fold, [part])[0] for _, part in one.parts]
+                self._fits[fold, one] = averaged(one, fits, presses[0], untouched)
+        new = [one for one in unknown if not one.parts]
         if new:
             presses, untouched = self.prepared_for(new[0])
-            training = [presses[i] for i in fold.training]
-            samples = training_samples(training, fold.contacts, total=TRIAL_SAMPLES)
+            own = fold if new[0].start is not None else self._refined_alone(fold)
+            training = [presses[i] for i in own.training]
+            samples = training_samples(training, own.contacts, total=TRIAL_SAMPLES)
             for plain in dict.fromkeys(one.plain for one in new):
                 if (fold, plain) not in self._fits:
                     reader = SlopeReader(plain.fit(samples), presses[0], untouched)
@@ -338,11 +346,17 @@ class HeldOutPresses:
                 stepped = {s.step_ridge: s for s in new if s.plain == plain and s.step_ridge is not None}
                 if stepped:
                     responses = fitted_responses(
-                        reader, training, fold.contacts, list(stepped), start=plain.start, total=TRIAL_SAMPLES
+                        reader, training, own.contacts, list(stepped), start=plain.start, total=TRIAL_SAMPLES
                     )
                     for one, forward in zip(stepped.values(), responses):
                         self._fits[fold, one] = FittedSlopes(reader, forward)
         return [self._fits[fold, one] for one in candidates]
+
+    def _refined_alone(self, fold: Fold) -> Fold:
+        """The fold with circles that no start has moved, for fits without one; kept."""
+        if fold not in self._alone:
+            self._alone[fold] = refined_alone(self.located, fold)
+        return self._alone[fold]
 
     def try_candidates(
         self, candidates: Sequence[Candidate], folds: Sequence[Fold] | None = None
@@ -393,12 +407,34 @@ def select(
         finalists = []
         for trials in plain:
             leader = _best(trials, without)
-            without_step = [t for t in trials if t.candidate == leader and leader.may_not_step(presses)]
-            finalists += [*without_step, *stepped[leader]]
+            finalists += [*(t for t in trials if t.candidate == leader), *stepped[leader]]
         return _best(finalists, without)
 
     *by_fold, by_all = map(chosen, left_out)
     return Selection(by_all, tuple(by_fold), tuple(chain(*plain, *stepped.values())))
+
+
+def average(begun: Candidate, own: Candidate, held_out: HeldOutPresses) -> Selection:
+    """The average of a fit from a start and of one without it, each in inverse proportion to its squared error.
+
+    No criterion that few presses offer chooses rightly between the two; their mean is about as good as the better one.
+    """
+    presses = sum(len(fold.held_out) for fold in held_out.folds)
+    begun, own = (one.with_steps(presses)[0] for one in (begun, own))
+    trials = [held_out.try_candidates([one])[0] for one in (begun, own)]
+
+    def of(without: Sequence[int]) -> Candidate:
+        weights = [np.exp(-2 * trial.mean_log(without)) for trial in trials]
+        shares = (np.array(weights) / sum(weights)).tolist()
+        settings = (
+            *begun.settings,
+            *((f"own_{key}", value) for key, value in own.settings),
+            ("own_share", shares[1]),
+        )
+        return replace(begun, settings=settings, parts=tuple(zip(shares, (begun, own))))
+
+    *by_fold, by_all = (of(fold) for fold in [*(fold.held_out for fold in held_out.folds), ()])
+    return Selection(by_all, tuple(by_fold), (*trials, *held_out.try_candidates([by_all])))
 
 
 def _best(trials: Sequence[Trial], without: Sequence[int]) -> Candidate:
@@ -426,22 +462,28 @@ def fit(
 ) -> Fitted:
     """Select the stiffness of the color model and its forward response on held-out presses, and fit both on all.
 
-    The color model is ignored if `located` has another unit's, unless it was just offered and 12 presses or more can choose.
+    A fit from another unit's model is of its kind. Under 12 presses do not choose between such a fit and one without it, and
+    both are averaged. From 12 on, they choose if the other unit's was just offered.
     `compare` tries all models and does not change the selection.
     """
     accepted, start = len(located.refined.accepted), located.start
-    begun = [] if start is None else [candidates_from(start, accepted)]
-    choice = start is None or (start.offered and NEEDED.edge.met(accepted))
-    alone = [candidates_for(color_model, accepted)] if choice else []
     held_out = HeldOutPresses(located, folds)
-    selection = select([*begun, *alone], held_out, progress=progress)
+    begun = [] if start is None else [candidates_from(start, accepted)]
+    if start is not None and not NEEDED.edge.met(accepted):
+        selection = average(begun[0][0], candidates_for(color_model, accepted)[0], held_out)
+    else:
+        choice = start is None or start.offered
+        alone = [candidates_for(color_model, accepted)] if choice else []
+        selection = select([*begun, *alone], held_out, progress=progress)
     notes: tuple[str, ...] = ()
     if compare:
         selection, notes = _compared(selection, held_out, accepted, progress)
     prepared, untouched = held_out.prepared_for(selection.chosen)
     used, contacts = located.refined.of_accepted(prepared)
     own = located.presses.subset(located.refined.accepted)
-    calibration = fit_all(own, used, contacts, selection.chosen, untouched)
+    whole = refined_alone(located, Fold((), tuple(located.refined.accepted), tuple(contacts)))
+    alone = [prepared[i] for i in whole.training], whole.contacts
+    calibration = fit_all(own, used, contacts, selection.chosen, untouched, alone)
     shown = set(located.refined.accepted)  # a frame that shows a used press again is no new one either
     digests = [
         one.digest for i, one in enumerate(located.presses.presses) if located.repeated.get(i, i) in shown
@@ -472,14 +514,23 @@ def fit_all(
     contacts: Sequence[ContactCircle],
     chosen: Candidate,
     untouched: float,
+    alone: tuple[Sequence[PreparedPress], Sequence[ContactCircle]] | None = None,
 ) -> Calibration:
-    """The calibration of presses by the selected candidate; its errors and its slope sigma are filled in later."""
-    noise = presses.background_noise
-    model = chosen.fit(training_samples(prepared, contacts))
-    step = chosen if chosen.step_ridge is not None else chosen.with_steps(len(prepared))[0]
-    assert step.step_ridge is not None
-    reader = SlopeReader(model, prepared[0], untouched)
-    (forward,) = fitted_responses(reader, prepared, contacts, [step.step_ridge], start=chosen.start)
+    """The calibration of presses by the selected candidate; its errors and its slope sigma are filled in later.
+
+    A fit without a start takes the presses and circles `alone` instead, if they are given.
+    """
+    noise, fits = presses.background_noise, []
+    for one in [part for _, part in chosen.parts] or [chosen]:
+        how = (prepared, contacts) if alone is None or one.start is not None else alone
+        reader = SlopeReader(one.fit(training_samples(*how)), prepared[0], untouched)
+        step = one if one.step_ridge is not None else one.with_steps(len(prepared))[0]
+        assert step.step_ridge is not None
+        (response,) = fitted_responses(reader, *how, [step.step_ridge], start=one.start)
+        fits.append(FittedSlopes(reader, response))
+    reader, forward = averaged(chosen, fits, prepared[0], untouched) if chosen.parts else fits[0]
+    model = reader.model
+    assert forward is not None
     images = [press.image for press in presses.presses]
     levels = [image[one.pixels(contact, ZONE)] for image, one, contact in zip(images, prepared, contacts)]
     shares = ends_shown(np.concatenate(levels))  # under 1 % do not teach the effect of a clipped channel

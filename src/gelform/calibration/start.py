@@ -33,6 +33,9 @@ class Start:
     digest: str  # of its calibration
     spread: float  # relative standard deviation of slopes between units
     by: str  # description of its origin
+    edge: float | None = (
+        None  # radius of its contact edge over that of the visible rim, which few presses cannot measure
+    )
     offered: bool = False  # whether a fit without it is tried too, and kept if held-out presses prefer it
     note: str = ""  # for the user, if it is of another gel
 
@@ -69,7 +72,9 @@ def starter_start(presses: Presses, color_model: str) -> tuple[Start | None, tup
             light = light_from_background(presses.background)
             model, forward = starter.models_for(light, presses.mm_per_px)
             by = f"the starter of a {starter.make}"
-            start = Start(model, forward, starter.calibration.digest, starter.spread, by, offered=not why)
+            known = starter.calibration
+            edge = known.settings.contact_radius_ratio
+            start = Start(model, forward, known.digest, starter.spread, by, edge, offered=not why)
     return start, (f"The starter of a {starter.make} was not tried, because {why}.",) if why else ()
 
 
@@ -92,6 +97,7 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
             f"{make_name(str(make))}, whose lamps stand elsewhere. Leave the start out, or give one of the same make."
         )
     model, by = first.color_model, f"a calibration of {first.sensor_name}"
+    edge = first.settings.contact_radius_ratio
     spread = first.unit_spread or 0.10  # that of DIGITs, the larger of two makes
     other_gel = first.gel_id and presses.gel_id and first.gel_id != presses.gel_id
     note = f"The start is of gel {first.gel_id}, the presses are of {presses.gel_id}." if other_gel else ""
@@ -101,13 +107,13 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
         if first.mm_per_px is not None:
             alike = np.ones((1, 1, 3)), presses.mm_per_px / first.mm_per_px
             model, forward = model.of_other_unit(*alike), forward.of_other_unit(*alike)
-        return Start(model, forward, first.digest, spread, by, note=note)
+        return Start(model, forward, first.digest, spread, by, edge, note=note)
     if tuple(first.image_shape) != tuple(presses.image_shape):
         (height, width), (rows, columns) = presses.image_shape, first.image_shape
         raise ValueError(
             f"Expected to start from a calibration for images of {height}x{width} px, got one for {rows}x{columns} px."
         )
-    return Start(*translated(first), first.digest, spread, by, note=note)
+    return Start(*translated(first), first.digest, spread, by, edge, note=note)
 
 
 def translated(first: Calibration) -> tuple[StartableModel, ForwardResponse]:

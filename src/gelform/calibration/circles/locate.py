@@ -127,7 +127,8 @@ def locate(presses: Presses, start: Start | None = None, *, progress: Progress =
             )
             refined, model, start = alone, None, None
     other_ball = other_ball_note(prepared, refined, excluded)
-    ratio = contact_radius_ratio(*refined.of_accepted(prepared))
+    edge = USUAL_EDGE if start is None or start.edge is None else start.edge
+    ratio = contact_radius_ratio(*refined.of_accepted(prepared), usual=edge)
     if ratio != prepared[0].contact_radius_ratio:
         prepared = [replace(press, contact_radius_ratio=ratio) for press in prepared]
         refined = refine(prepared, excluded=excluded, start=model, progress=progress)
@@ -433,14 +434,16 @@ def other_ball_note(
     )
 
 
-def contact_radius_ratio(presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle]) -> float:
+def contact_radius_ratio(
+    presses: Sequence[PreparedPress], contacts: Sequence[ContactCircle], *, usual: float = USUAL_EDGE
+) -> float:
     """Radius, over the visible one, from which the median press reads less than 0.75 times its ball's slope.
 
     The reading further in counts as 1. Rings are 0.05 visible radii wide, and two of them have to be below 0.75. It is
-    `USUAL_EDGE` for fewer than 12 presses.
+    the usual one for fewer than 12 presses.
     """
     if not NEEDED.edge.met(len(presses)):
-        return USUAL_EDGE
+        return usual
     visible = [replace(press, contact_radius_ratio=1.0) for press in presses]
     gains = []
     for group in range(FOLDS):

@@ -133,15 +133,14 @@ def _of_starter(selection: Selection, offered: Start | None) -> tuple[str, ...]:
     """Whether the fit began with the starter, and the held-out slope errors behind that decision."""
     if offered is None:
         return ()
+    single = [one for one in selection.trials if not one.candidate.parts]
     with_start, without = (
-        [one.mean_log() for one in selection.trials if (one.candidate.start is not None) == begun]
+        [one.mean_log() for one in single if (one.candidate.start is not None) == begun]
         for begun in (True, False)
     )
-    if not without:
-        return (
-            f"{offered.subject} was used. With under {NEEDED.edge.presses} presses no fit without it is tried.",
-        )
     used = "was used" if selection.chosen.start is not None else "was not used"
+    if selection.chosen.parts:
+        used = f"counts {100 * selection.chosen.parts[0][0]:.0f} % in an average with a fit without it"
     errors = [float(np.exp(min(logs))) for logs in (with_start, without)]
     return (
         f"{offered.subject} {used}. Held-out slopes are off by {errors[0]:.3f} with it and by {errors[1]:.3f} without it.",
@@ -191,11 +190,15 @@ def setting_in_words(value: Any) -> str:
 def _how_held_out(presses: int, selection: Selection) -> str:
     agree = sum(candidate == selection.chosen for candidate in selection.by_fold)
     folds = len(selection.by_fold)
+    by_folds = (
+        "Each fold weighs the two fits by the presses of the others."
+        if selection.chosen.parts
+        else f"{agree} of {folds} folds chose the model that all presses together chose."
+    )
     split = "that are each left out in turn" if folds == presses else f"in {folds} folds"
     return (
         f"Held-out errors are of {presses} presses {split}, and hold where presses are. gelform finds circles and model "
-        f"without the presses of the fold that it judges. {agree} of {folds} folds chose the model that all presses "
-        "together chose."
+        f"without the presses of the fold that it judges. {by_folds}"
     )
 
 

@@ -135,6 +135,24 @@ class ForwardResponse(Stored):
             found.append(cls(nodes, covariance, samples.shape, step_sigma))
         return found
 
+    @classmethod
+    def average(cls, responses: Sequence[ForwardResponse], shares: Sequence[float]) -> ForwardResponse:
+        """The mean of responses that have a step and were fitted to the same samples, in shares.
+
+        A weighted mean of the fits' mean squares is that of the mean fit plus the fits' own variance about it. So its
+        covariance and its prior have the error within the fits and the one between them.
+        """
+        nodes, covariance, squares = (
+            np.average(values, axis=0, weights=shares)
+            for values in (
+                [one.nodes for one in responses],
+                [one.covariance for one in responses],
+                [np.square(np.asarray(one.step_sigma)) for one in responses],
+            )
+        )
+        at_rest, per_slope = np.sqrt(squares).tolist()
+        return cls(nodes, covariance, responses[0].shape, (at_rest, per_slope))
+
     def color_from_gradients(
         self, gradients: Array, x_px: Array, y_px: Array, *, depth_px: Array | float = 0.0
     ) -> Numbers:

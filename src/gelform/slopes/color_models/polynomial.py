@@ -14,6 +14,7 @@ margin, and what lies beyond is their standard deviation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -200,6 +201,15 @@ class HierarchicalModel(Stored):
         if start is not None:
             nodes, steepest = nodes + start.nodes, max(steepest, start.steepest)
         return cls(nodes, len(position_degrees), samples.shape, steepest)
+
+    @classmethod
+    def average(cls, models: Sequence[HierarchicalModel], shares: Sequence[float]) -> HierarchicalModel:
+        """As `StartableModel.average`."""
+        first = models[0]
+        for model in models:
+            model.check_like(first.degree, first.shape)
+        nodes = np.average([model.nodes for model in models], axis=0, weights=shares)
+        return cls(nodes, first.degree, first.shape, max(model.steepest for model in models))
 
     @classmethod
     def variants(cls, presses: int) -> list[dict[str, Any]]:

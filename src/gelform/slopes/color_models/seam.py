@@ -160,6 +160,11 @@ class StartableModel(ColorModel, Protocol):
         """
         ...
 
+    @classmethod
+    def average(cls, models: Sequence[Any], shares: Sequence[float]) -> StartableModel:
+        """The model that reads the mean of the slopes that models of this kind read, in these shares."""
+        ...
+
     def check_like(self, degree: int, shape: tuple[int, int]) -> None:
         """Raise a ValueError if a model of a degree and an image shape cannot start from this one."""
         ...
