@@ -82,16 +82,29 @@ class ContainerError(DataError):
 def matching(path: Path, there: Mapping[str, tuple[tuple[int, ...], str]], wanted: str) -> list[str]:
     """The datasets, of `there` with shape and type, that match a pattern ("data/*/obs/gelsight"); * matches one name.
 
-    DataError: none does. It lists the datasets; those that differ only in a number appear once.
+    Without a pattern, the only one there is. DataError: none does. It lists the datasets.
     """
     parts = wanted.strip("/").split("/")
+    if not wanted and len(there) == 1:
+        return list(there)
     found = [
         one
         for one in there
-        if wanted and one.count("/") == len(parts) - 1 and all(map(fnmatchcase, one.split("/"), parts))
+        if one.count("/") == len(parts) - 1 and all(map(fnmatchcase, one.split("/"), parts))
     ]
     if found:
         return found
+    listed = "are " + ", ".join(_in_words(there)) if there else "is no dataset of frames (N, H, W, 3)"
+    said = (
+        f"Expected {wanted} in {path}, got none"
+        if wanted
+        else f"{path} holds {len(there) or 'no'} datasets of frames"
+    )
+    raise DataError(f"{said}. Give one with --dataset; there {listed}.")
+
+
+def _in_words(there: Mapping[str, tuple[tuple[int, ...], str]]) -> list[str]:
+    """Each dataset with its shape and type; those that differ only in a number appear once."""
     kinds: dict[str, list[str]] = {}
     for one in there:
         kinds.setdefault(re.sub(r"\d+", "*", one), []).append(one)
@@ -100,9 +113,7 @@ def matching(path: Path, there: Mapping[str, tuple[tuple[int, ...], str]], wante
         shape, dtype = there[first]
         count = f"{1 + len(more)}" if more else "one"
         texts.append(f"{pattern if more else first} ({count} of {dtype} {'x'.join(map(str, shape))})")
-    listed = "are " + ", ".join(texts) if texts else "is no dataset of frames (N, H, W, 3)"
-    said = f"Expected {wanted} in {path}, got none" if wanted else f"{path} may hold several datasets"
-    raise DataError(f"{said}. Give one with --dataset; there {listed}.")
+    return texts
 
 
 def blocks(dataset: Any, start: int, count: int, chunk: int) -> Iterator[NDArray[Any] | DataError]:
@@ -152,13 +163,7 @@ def films_in_container(path: Path, name: str, wanted: str) -> list[FilmRef]:
     """
     films: list[FilmRef] = []
     with _opened(path) as group:
-        members: dict[str, Any] = {}
-        if hasattr(group, "visititems"):  # of h5py
-            group.visititems(members.__setitem__)
-        else:
-            members.update(group.members(max_depth=None))
-        arrays = {inside: one for inside, one in members.items() if hasattr(one, "shape")}
-        there = {one: (a.shape, str(a.dtype)) for one, a in arrays.items() if is_frames(a.shape, a.dtype)}
+        arrays, there = _datasets_in(group)
         for one in sorted(matching(path, there, wanted), key=natural):
             _check_stored(path, arrays[one])
             length = there[one][0][0]
@@ -175,6 +180,28 @@ def films_in_container(path: Path, name: str, wanted: str) -> list[FilmRef]:
                 for k, (a, b) in enumerate(zip([0, *ends[:-1]], ends))
             ]
     return films
+
+
+Shapes = dict[str, tuple[tuple[int, ...], str]]  # shape and type of each dataset, or of each camera's frames
+
+
+def _datasets_in(group: Any) -> tuple[dict[str, Any], Shapes]:
+    """All arrays of an open file or store by name, and shape and type of those that may hold frames."""
+    members: dict[str, Any] = {}
+    if hasattr(group, "visititems"):  # of h5py
+        group.visititems(members.__setitem__)
+    else:
+        members.update(group.members(max_depth=None))
+    arrays = {inside: one for inside, one in members.items() if hasattr(one, "shape")}
+    return arrays, {one: (a.shape, str(a.dtype)) for one, a in arrays.items() if is_frames(a.shape, a.dtype)}
+
+
+def frames_inside(path: Path) -> list[str]:
+    """What `--dataset` can name in an HDF5 file, a Zarr store or a LeRobot data set; DataError: it cannot be read."""
+    if is_lerobot_set(path):
+        return _in_words(_cameras_in(lerobot_info(path)))
+    with _opened(path) as group:
+        return _in_words(_datasets_in(group)[1])
 
 
 def container_values(path: Path, dataset: str, start: int, count: int) -> Iterator[NDArray[Any] | DataError]:
@@ -264,14 +291,20 @@ def lerobot_episodes(root: Path, columns: list[str]) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: row["episode_index"])
 
 
-def films_in_lerobot_set(root: Path, wanted: str) -> list[FilmRef]:
-    """A film for each episode of each matching camera, from videos or images; DataError if there is none."""
-    info, cameras = lerobot_info(root), {}
+def _cameras_in(info: Mapping[str, Any]) -> Shapes:
+    cameras: Shapes = {}
     for key, feature in info["features"].items():
         if feature.get("dtype") in ("video", "image"):
             more = feature.get("info") or {}
             if not (more.get("is_depth_map") or more.get("video.is_depth_map")):
                 cameras[key] = tuple(feature["shape"]), feature["dtype"]
+    return cameras
+
+
+def films_in_lerobot_set(root: Path, wanted: str) -> list[FilmRef]:
+    """A film for each episode of each matching camera, from videos or images; DataError if there is none."""
+    info = lerobot_info(root)
+    cameras = _cameras_in(info)
     films: list[FilmRef] = []
     for key in matching(root, cameras, wanted):
         in_video = cameras[key][1] == "video"

@@ -178,6 +178,20 @@ def test_a_video_and_what_it_lacks(run, run_json, press_folder, tmp_path):
     assert len(run_json("info", path)["missing"]) == 1
 
 
+def test_what_simulate_writes_is_described(run, run_json, works, tmp_path):
+    pytest.importorskip("h5py")
+    works("simulate", "three-edges", "-o", tmp_path / "s", "--presses", 1, "--as", "hdf5")
+    moving = tmp_path / "s" / "moving"
+    said = run_json("info", moving / "moving.h5")
+    assert said["kind"] == "HDF5 file"
+    assert said["frames"] == ["data/demo_0/obs/gel (one of uint8 36x240x320x3)"]
+    said = run_json("info", moving / "motion.csv")
+    assert said == {"kind": "table", "columns": ["index", "depth_mm", "x_mm", "y_mm", "turn_deg"], "rows": 36}
+    assert "[mm_per_px]" in works("info", tmp_path / "s" / "sensor.toml")[0]
+    (tmp_path / "a.obj").write_text("v 0 0 0")
+    assert "recording, data set or table (.csv), got" in run("info", tmp_path / "a.obj")[2]
+
+
 def test_folders_of_other_packages(run_json, press_folder, tmp_path):
     (tmp_path / "d" / "6mm").mkdir(parents=True)
     shutil.copy(press_folder / "background.png", tmp_path / "d")

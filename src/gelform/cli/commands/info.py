@@ -141,7 +141,8 @@ def info(
 ) -> None:
     """Describe a file or folder, and list what is missing.
 
-    It recognizes calibrations, results, images, videos, recordings, ROS 2 bags and folders of presses.
+    It recognizes calibrations, results, images, videos, recordings, ROS 2 bags, tables, data sets (HDF5, Zarr, LeRobot)
+    and folders of presses.
 
     \b
     Examples:
@@ -184,8 +185,22 @@ def _file(path: Path) -> dict[str, Any]:
         return _result(path)
     if path.suffix.lower() == ".mcap":
         return _recording(path)
+    from gelform.batch.containers import is_container
     from gelform.calibration.presses.folder import TAXIM, VIDEO, kind_of_presses
+    from gelform.calibration.presses.press_set import table_rows
+    from gelform.sensors.files import images_of_stack, is_stack, read_toml
+    from gelform.sensors.pictures import IMAGE_SUFFIXES
 
+    if is_container(path):
+        return _data_set(path)
+    if path.suffix.lower() == ".csv":
+        rows = [row for _, row in table_rows(path, ())]
+        return {"kind": "table", "columns": list(rows[0]) if rows else [], "rows": len(rows)}
+    if path.suffix.lower() == ".toml":
+        return {
+            "kind": "settings",
+            **{f"[{name}]": value for name, value in read_toml(path, "settings").items()},
+        }
     layout = kind_of_presses(path)
     if layout == VIDEO:
         return _video(path)
@@ -195,14 +210,28 @@ def _file(path: Path) -> dict[str, Any]:
         raise DataError(
             f"{path} is neither a calibration nor a result of gelform's, or it is damaged.{way_for(path)}"
         )
-    from gelform.sensors.files import images_of_stack, is_stack
-
     if is_stack(path):
         one, count = images_of_stack(path)
         return {"kind": "file of several images", "size_px": list(one(0).shape[:2]), "frames": count}
-    image = gelform.read_image(path)
+    try:
+        image = gelform.read_image(path)
+    except DataError as problem:
+        if path.suffix.lower() in ("", ".npy", *IMAGE_SUFFIXES):
+            raise
+        raise DataError(
+            f"Expected a calibration, result, image, video, recording, data set or table (.csv), got {path}, which is "
+            f"none of them.{way_for(path)}"
+        ) from problem
     levels = [round(float(level), 1) for level in image.mean(axis=(0, 1))]
     return {"kind": "image", "size_px": list(image.shape[:2]), "mean_rgb": levels}
+
+
+def _data_set(path: Path) -> dict[str, Any]:
+    """The datasets of frames in an HDF5 file or a Zarr store, or the cameras of a LeRobot data set."""
+    from gelform.batch.containers import frames_inside, is_lerobot_set, is_zarr
+
+    kind = "LeRobot data set" if is_lerobot_set(path) else "Zarr store" if is_zarr(path) else "HDF5 file"
+    return {"kind": kind, "frames": frames_inside(path) or "no dataset of frames (N, H, W, 3)"}
 
 
 def _recording(path: Path) -> dict[str, Any]:
@@ -278,6 +307,7 @@ def _video(path: Path) -> dict[str, Any]:
 
 def _folder(path: Path) -> dict[str, Any]:
     """The facts of a bag or presses; for any other folder, the files that would make it a press folder."""
+    from gelform.batch.containers import is_container, is_lerobot_set
     from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses, rows_by_folder
     from gelform.sensors.files import likely_background
     from gelform.sensors.mcap import is_bag_folder
@@ -285,6 +315,8 @@ def _folder(path: Path) -> dict[str, Any]:
 
     if is_bag_folder(path):
         return _bag(path)
+    if is_container(path) or is_lerobot_set(path):
+        return _data_set(path)
     layout = kind_of_presses(path)
     if layout not in (PRESS_FOLDER, PLAIN):
         return _presses(path, layout)
