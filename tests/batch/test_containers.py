@@ -157,7 +157,7 @@ def test_hdf5_that_cannot_be_is_said(demos, tmp_path):
         with pytest.raises(DataError, match=r"there are data/demo_\*/obs/gelsight \(3 of uint8 3x64x80x3\)"):
             listing_of(source, dataset="data/*/obs/gelsihgt")
     with pytest.raises(
-        DataError, match=r"holds 4 datasets of frames\. Give one with --dataset; there are data"
+        DataError, match=r"holds 3 datasets of frames\. Give one with --dataset; there are data"
     ):
         listing_of(demos)
     with pytest.raises(DataError, match="say with --dataset which dataset"):

@@ -17,10 +17,12 @@ from gelform._native import instruction_set
 from gelform.calibration_file import load_calibration
 from gelform.cli.commands import info
 from gelform.cli.commands.info import lines_of, system_facts
+from gelform.exchange.exporters.press_folder import save_moving_press
 from gelform.sensors import cameras
 from gelform.sensors.files import read_image
 from gelform.sensors.mcap import McapRecording
 from gelform.sensors.playback import RecordingFacts
+from gelform.simulate import Coin
 from made.sources import frames, video_file
 
 DECLARED = [
@@ -178,16 +180,17 @@ def test_a_video_and_what_it_lacks(run, run_json, press_folder, tmp_path):
     assert len(run_json("info", path)["missing"]) == 1
 
 
-def test_what_simulate_writes_is_described(run, run_json, works, tmp_path):
+@pytest.mark.slow
+def test_what_simulate_writes_is_described(run, run_json, works, sensor, tmp_path, press_folder):
     pytest.importorskip("h5py")
-    works("simulate", "three-edges", "-o", tmp_path / "s", "--presses", 1, "--as", "hdf5")
-    moving = tmp_path / "s" / "moving"
+    moving = tmp_path / "moving"
+    save_moving_press(moving, sensor, Coin(), ["hdf5"], 0.3, 0)
     said = run_json("info", moving / "moving.h5")
     assert said["kind"] == "HDF5 file"
-    assert said["frames"] == ["data/demo_0/obs/gel (one of uint8 36x240x320x3)"]
+    assert said["frames"] == ["data/demo_0/obs/gel (one of uint8 36x132x176x3)"]
     said = run_json("info", moving / "motion.csv")
     assert said == {"kind": "table", "columns": ["index", "depth_mm", "x_mm", "y_mm", "turn_deg"], "rows": 36}
-    assert "[mm_per_px]" in works("info", tmp_path / "s" / "sensor.toml")[0]
+    assert "[mm per px]" in works("info", press_folder / "sensor.toml")[0]
     (tmp_path / "a.obj").write_text("v 0 0 0")
     assert "recording, data set or table (.csv), got" in run("info", tmp_path / "a.obj")[2]
 

@@ -86,8 +86,17 @@ def test_a_video_becomes_whole_results_to_look_at(
     expected = gelform.Reconstructor(calibration_file)(frames[2])
     np.testing.assert_array_equal(result.depth_mm, expected.depth_mm)
     assert opened == [(tmp_path / "out" / "sheet.png").as_uri()]
-    assert run(*given, "--format", "npz,png")[0] == 2
-    assert run(*given, "--strict")[0] == 2
+    works(*given, "--format", "npz,png,ply")
+    for form in ("png", "ply"):
+        assert sorted(one.name for one in (tmp_path / "out" / form / "press.avi").iterdir()) == [
+            f"{k:06d}.{form}" for k in range(3)
+        ]
+    works("verify", tmp_path / "out")
+    code, _, err = run(*given, "--strict", "--format", "npz,png")
+    assert code == 2
+    assert "Invalid value for --strict: is for images" in err
+    assert "--format" not in err
+    assert "--skip-existing: is for images" in run(*given, "--skip-existing")[2]
     code, _, err = run("reconstruct", path, press_folder / "background.png", *given[2:])
     assert code == 1
     assert "press.avi is no image. Give it alone" in err

@@ -62,7 +62,7 @@ def reconstruct(
     confidence, contact, known and mm_per_px. With --format npz,png a picture is added. An image that cannot be read or
     belongs to another sensor is reported. The other images are still done, and the exit status is 1. Of a folder, every
     image in it and below it is done. A video, a recording, a TIFF of several pages or an array of frames (.npy, RGB) is done
-    as by gelform batch --keep all. If the depth of most
+    as by gelform batch --keep all; what --format names besides npz is in DIR/png/ ... If the depth of most
     images is doubtful, the exit status is 3.
 
     Without -c, the serial number in the images' sensor.toml or recording selects the newest calibration of that
@@ -84,9 +84,15 @@ def reconstruct(
         raise BadParameter(expected, param_hint="--format")
     images, film = given.images_or_film(inputs, dataset)
     if film is not None:
-        if wanted != ["npz"] or strict or skip_existing:
-            only = "of a video or a recording, results are npz, and a run continues by itself."
-            raise BadParameter(only, param_hint="--format, --strict, --skip-existing")
+        if strict or skip_existing:
+            option, instead = (
+                ("--strict", "exit status 3 tells of doubt")
+                if strict
+                else ("--skip-existing", "it continues")
+            )
+            raise BadParameter(f"is for images. Leave it out for {film}: {instead}.", param_hint=option)
+        if "png" in wanted:
+            check_pictures()
         try:
             batch(
                 source=str(inputs[0]),
@@ -98,6 +104,9 @@ def reconstruct(
                 accept_doubtful=accept_doubtful,
                 shown=shown,
             )
+        except typer.Exit:
+            _export_frames(output, [form for form in wanted if form != "npz"], shown)
+            raise
         finally:
             if view and (output / SHEET).exists():
                 _open(output / SHEET, shown)
@@ -163,7 +172,21 @@ def _open(picture: Path, shown: ShownOption) -> None:
     webbrowser.open(picture.resolve().as_uri())
 
 
-def _write(result: gelform.Reconstruction, image: Image, results: dict[str, Path], overwrite: bool) -> None:
+def _export_frames(output: Path, forms: Sequence[str], shown: ShownOption) -> None:
+    """Write the results of a batch in other forms, below a folder of each form's name."""
+    frames = output / "frames"
+    files = sorted(path for path in frames.rglob("*.npz") if not path.name.startswith(".")) if forms else []
+    with shown.progress() as progress:
+        for done, path in enumerate(files):
+            progress(done, len(files), f"writing {', '.join(forms)}")
+            below = path.relative_to(frames)
+            results = {form: output / form / below.with_suffix(f".{form}") for form in forms}
+            _write(gelform.load_result(path), None, results, overwrite=True)
+
+
+def _write(
+    result: gelform.Reconstruction, image: Image | None, results: dict[str, Path], overwrite: bool
+) -> None:
     from gelform.exchange.plots import save_picture
 
     for form, path in results.items():

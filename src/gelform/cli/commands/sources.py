@@ -156,7 +156,7 @@ def record(
         Option(
             "--set",
             metavar="NAME=VALUE",
-            help="Camera setting: exposure, gain, white_balance, led_level, width, height, fps, fourcc.",
+            help="Camera setting: exposure, gain, white_balance, led_level, width, height, fps, fourcc. Of simulated: fps.",
         ),
     ] = None,
     bgr: options.Bgr = False,
@@ -214,7 +214,7 @@ def why_missing(stats: RecordStats, grabbed: GrabberStats) -> str:
     level = "warning: " if share > 0.05 else ""
     return (
         f"{level}{stats.missing} of {all_of} frames ({100 * share:.2g} %) are missing: {said}. {rate_hz:.3g} frames a "
-        "second were kept; a lower rate or a smaller picture loses fewer (USB cameras: --set fps=..., --set width=...)."
+        "second were kept; a lower rate or a smaller picture loses fewer (--set fps=...; USB cameras: --set width=...)."
     )
 
 
