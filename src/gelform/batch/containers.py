@@ -14,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.errors import DataError, needed
+from gelform.errors import DataError, needed, said
 from gelform.foundations.files import MAX_TEXT_BYTES, bytes_of
 
 BLOCK_FRAMES = 64  # limit of one read
@@ -132,7 +132,7 @@ def blocks(dataset: Any, start: int, count: int, chunk: int) -> Iterator[NDArray
                 try:
                     yield np.asarray(dataset[index])
                 except DAMAGED as problem:
-                    yield DataError(f"Cannot read frame {index} of {dataset.name}: {problem}.")
+                    yield DataError(f"Cannot read frame {index} of {dataset.name}: {said(problem)}.")
 
 
 def is_frames(shape: tuple[int, ...], dtype: Any) -> bool:
@@ -240,7 +240,7 @@ def _opened(path: Path) -> AbstractContextManager[Any]:
             return cast("AbstractContextManager[Any]", h5py.File(path, "r"))
         except OSError as problem:
             raise ContainerError(
-                f"Cannot read {path} as HDF5: {problem}. It is damaged, cut off, or of another kind."
+                f"Cannot read {path} as HDF5: {said(problem)}. It is damaged, cut off, or of another kind."
             ) from problem
     zarr = needed("zarr", "data", "Zarr")
     try:
@@ -248,7 +248,7 @@ def _opened(path: Path) -> AbstractContextManager[Any]:
         return nullcontext(zarr.open_group(store, mode="r"))
     except Exception as problem:  # a dozen classes, depending on the version of zarr
         raise ContainerError(
-            f"Cannot read {path} as a Zarr group: {problem}. It is damaged, or of another kind."
+            f"Cannot read {path} as a Zarr group: {said(problem)}. It is damaged, or of another kind."
         ) from problem
 
 
@@ -284,7 +284,7 @@ def lerobot_episodes(root: Path, columns: list[str]) -> list[dict[str, Any]]:
         for path in sorted((root / EPISODE_TABLES).glob("*/*.parquet")):
             rows += parquet.read_table(path, columns=columns).to_pylist()
     except (pyarrow.ArrowException, OSError, KeyError) as problem:
-        raise DataError(f"Cannot read the episodes of {root}: {problem}.") from problem
+        raise DataError(f"Cannot read the episodes of {root}: {said(problem)}.") from problem
     if not rows or set(rows[0]) != set(columns):
         lacking = sorted(set(columns) - set(rows[0] if rows else ()))
         raise DataError(f"Expected {', '.join(lacking)} in {root / EPISODE_TABLES}, got none.")
@@ -375,7 +375,7 @@ def video_frames(
                 if done == count:
                     return
     except (av.FFmpegError, IndexError) as problem:
-        raise DataError(f"Cannot read {path}: {problem}.") from problem
+        raise DataError(f"Cannot read {path}: {said(problem)}.") from problem
     raise DataError(
         f"Expected {offset + start + count} frames in {path}, got {offset + start + done}. It is cut off."
     )
@@ -411,7 +411,7 @@ def stored_images(
                 )
                 done += 1
     except (pyarrow.ArrowException, OSError, KeyError) as problem:
-        raise DataError(f"Cannot read {key} in {path}: {problem}.") from problem
+        raise DataError(f"Cannot read {key} in {path}: {said(problem)}.") from problem
     if done < count:
         raise DataError(
             f"Expected {offset + start + count} rows in {path}, got {offset + start + done}. It is cut off."

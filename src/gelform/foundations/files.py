@@ -473,7 +473,7 @@ def read_npy(path: str | os.PathLike[str], what: str) -> Array:
         return _array(content)
     except ValueError as problem:
         raise DataError(
-            f"{path} is no array file (.npy) of numbers, or a damaged one: {problem}."
+            f"{path} is no array file (.npy) of numbers, or a damaged one: {said(problem)}."
         ) from problem
 
 

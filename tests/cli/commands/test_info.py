@@ -133,6 +133,9 @@ def test_what_is_unknown_is_said():
     assert ("known", "50 % of the pixels; the others are filled") in said
     assert any("scale unknown" in text for _, text in said)
     assert ("contact 1", "3 px, deepest at (1, 0), cut by the image's border") in said
+    assert ("contacts", "2 smaller ones more (--json gives all)") in lines_of(
+        {**facts, "contacts": 10 * facts["contacts"]}
+    )
 
 
 def test_other_kinds_are_listed():

@@ -19,6 +19,7 @@ import gelform
 from gelform import DataError, GelformError, result
 from gelform.cli.console import in_options, print_json, show
 from gelform.cli.options import Json, argument
+from gelform.errors import counted
 
 
 def system_facts() -> dict[str, Any]:
@@ -406,7 +407,7 @@ def _calibration_lines(facts: Facts) -> Lines:
         *_made_from(facts),
         ("held out", ", ".join(known) or "no errors on held-out presses are known"),
         ("slope noise", noise),
-        ("force", force and f"{force['loads']} loads up to {force['range'][1]:.3g} N"),
+        ("force", force and f"{counted(force['loads'], 'load')} up to {force['range'][1]:.3g} N"),
         ("made", f"{facts['created_utc']}, by gelform {facts['library_version']}"),
         ("digest", facts["digest"]),
     ]
@@ -417,7 +418,10 @@ def _made_from(facts: Facts) -> Lines:
     starter = facts["settings"].get("starter")
     if starter is None:
         presses = facts["training_presses"]
-        return [("made from", f"{presses} presses" if presses else "no presses: imported"), *_doubts(facts)]
+        return [
+            ("made from", counted(presses, "press") if presses else "no presses: imported"),
+            *_doubts(facts),
+        ]
     return [
         (
             "starter",
@@ -442,12 +446,14 @@ def _result_lines(facts: Facts) -> Lines:
     deepest = "at least " if facts["at_least"] else ""
     low_to_high = "unknown" if depth is None else f"{depth[0]:.3f} to {deepest}{depth[1]:.3f} {unit}"
     pixels = facts["size_px"][0] * facts["size_px"][1]
-    largest = facts["contacts"][:8]  # --json gives all
+    largest = facts["contacts"][:8]
+    more = len(facts["contacts"]) - len(largest)
     return [
         ("image", f"{_size(facts['size_px'])}, {_scale(facts)}"),
         ("depth", f"{low_to_high}, 0 at rest, zero by: {facts['zero']}"),
         ("contact", f"{facts['contact_px']} of {pixels} px"),
         *[(f"contact {k + 1}", _contact(contact)) for k, contact in enumerate(largest)],
+        ("contacts", more and f"{counted(more, 'smaller one')} more (--json gives all)"),
         ("roughness", roughness and ROUGHNESS.format(**roughness)),
         ("markers", markers and markers["in_words"]),
         ("known", f"{100 * facts['known_px'] / pixels:.0f} % of the pixels; the others are filled"),

@@ -22,7 +22,7 @@ from gelform.cli import options
 from gelform.cli.console import MISTAKE, ShownOption, check_pictures, figure, one_line, say, status_of
 from gelform.cli.files import Inputs, check_results, make_folder, named, result_paths, save_by_name
 from gelform.cli.options import argument, one_of, option, usage_errors
-from gelform.errors import FrameTally, GelformError, reason
+from gelform.errors import FrameTally, GelformError, counted, reason
 from gelform.result.maps import KEPT_MAPS
 
 if TYPE_CHECKING:
@@ -152,7 +152,9 @@ def reconstruct(
     _report(rows, shown)
     if len(images) > len(rows) and len(images) > 1:
         skipped = len(images) - len(todo)
-        shown.say(f"{len(rows)} of {len(images)} images done, {skipped} skipped, {len(failed)} failed.")
+        shown.say(
+            f"{len(rows)} of {counted(len(images), 'image')} done, {skipped} skipped, {len(failed)} failed."
+        )
     if tiles:
         from gelform.batch.run import contact_sheet
         from gelform.foundations.files import written_file
@@ -160,15 +162,18 @@ def reconstruct(
         with written_file(sheet[0], overwrite=overwrite) as file:
             file.write(contact_sheet(tiles, pitch, unit))
     if view and rows:
-        _open(sheet[0] if sheet else paths[0]["png"], shown)
+        shows = (
+            f", which shows {len(tiles)} of {len(rows)} images" if len(tiles) < len(rows) and sheet else ""
+        )
+        _open(sheet[0] if sheet else paths[0]["png"], shown, shows)
     shown.json({"results": rows, "failed": failed})
     if failed or (strict and any(row["findings"] for row in rows)):
         raise typer.Exit(MISTAKE)
     raise typer.Exit(status_of(tally, accept_doubtful=accept_doubtful, quiet=True))
 
 
-def _open(picture: Path, shown: ShownOption) -> None:
-    shown.say(f"Look at {picture}.")
+def _open(picture: Path, shown: ShownOption, shows: str = "") -> None:
+    shown.say(f"Look at {picture}{shows}.")
     webbrowser.open(picture.resolve().as_uri())
 
 
@@ -219,7 +224,7 @@ def _report(rows: Sequence[dict[str, Any]], shown: ShownOption) -> None:
     found = [finding for row in rows for finding in row["findings"]]
     first = {finding["name"]: finding["message"] for finding in reversed(found)}
     for name, count in Counter(finding["name"] for finding in found).items():
-        say(f"warning ({count} of {len(rows)} images): {first[name]}")
+        say(f"warning ({count} of {counted(len(rows), 'image')}): {first[name]}")
     scaled = all("peak_mm" in row for row in rows)
     lengths = {"peak_mm": "peak (mm)", "contact_mm2": "contact (mm²)"}
     columns = lengths if scaled else {"peak_px": "peak (px)", "contact_px": "contact (px)"}
@@ -384,7 +389,7 @@ def _line(summary: BatchSummary, seconds: float, parts: int) -> str:
     """Parts, rate, time left, errors so far."""
     left = timedelta(seconds=round((summary.parts - summary.parts_done) * seconds / parts))
     rate_hz = summary.frames / max(seconds, 1e-9)
-    done = f"{summary.parts_done} of {summary.parts} parts, {rate_hz:.1f} frames/s"
+    done = f"{summary.parts_done} of {counted(summary.parts, 'part')}, {rate_hz:.1f} frames/s"
     return f"{done}, {left} left, {summary.errors} with errors"
 
 
@@ -392,7 +397,7 @@ def _report_batch(summary: BatchSummary, output: Path, max_errors: int, quiet: b
     for warning in summary.warnings:
         say(f"gelform: warning: {warning}")
     before = f", {summary.frames_before} from earlier runs" if summary.frames_before else ""
-    say(f"{summary.frames} frames done{before}; {summary.errors} with errors.", quiet)
+    say(f"{counted(summary.frames, 'frame')} done{before}; {summary.errors} with errors.", quiet)
     if summary.stopped:
         say(
             f"gelform: error: {summary.errors} frames have errors, more than --max-errors {max_errors} allows. The "
@@ -400,7 +405,9 @@ def _report_batch(summary: BatchSummary, output: Path, max_errors: int, quiet: b
         )
     elif summary.complete:
         sheet = output / SHEET  # not written where no frame has depth
-        look = f"; look at {sheet}" if sheet.exists() else ""
+        frames = summary.frames + summary.frames_before - summary.errors
+        some = f", which shows {TILES} of {frames}" if frames > TILES else ""
+        look = f"; look at {sheet}{some}" if sheet.exists() else ""
         say(f"Complete: {output / summary.table} has a row for each frame{look}.", quiet)
         if summary.errors:
             say(
@@ -436,6 +443,9 @@ def verify(
         say(f"gelform: error: {one.path}: {one.what}", shown.as_json)
     if more := problems[20:]:
         say(f"{len(more)} more; all with --json.", shown.as_json)
-    say(f"{good} frames are complete, {errors} have an error, {len(problems)} problems.", shown.silent)
+    say(
+        f"complete: {counted(good, 'frame')}; with an error: {errors}; {counted(len(problems), 'problem')}.",
+        shown.silent,
+    )
     if problems:
         raise typer.Exit(MISTAKE)

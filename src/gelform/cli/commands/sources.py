@@ -23,6 +23,7 @@ from gelform import DataError, GelformError
 from gelform.cli import options
 from gelform.cli.console import ShownOption, mistakes_in, print_json, say, show
 from gelform.cli.options import argument, number, option, usage_errors
+from gelform.errors import counted
 from gelform.sensors.profiles import check_gel_width
 
 if TYPE_CHECKING:
@@ -193,7 +194,7 @@ def record(
     missing = f", {stats.missing} missing" if stats.missing else ""
     again = f", the source was lost and reopened {reopened} times" if reopened else ""
     shown.say(
-        f"Wrote {output}: {stats.frames} frames in {stats.duration_s:.1f} s{missing}{again}, "
+        f"Wrote {output}: {counted(stats.frames, 'frame')} in {stats.duration_s:.1f} s{missing}{again}, "
         f"{stats.written_bytes / 1e6:.1f} MB."
     )
     if stats.missing:
@@ -279,7 +280,7 @@ def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: ShownOption
         raise DataError(
             f"No press was taken, so {output} is no press folder. Start again with another folder."
         )
-    shown.say(f"Wrote {output}: {taken.count} presses. Next: gelform calibrate {output} -o cal.npz")
+    shown.say(f"Wrote {output}: {counted(taken.count, 'press')}. Next: gelform calibrate {output} -o cal.npz")
     shown.json({"folder": output, "presses": taken.count, "ball_diameter_mm": wanted.ball_diameter_mm})
 
 
