@@ -14,6 +14,7 @@ import re
 import signal
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -27,6 +28,7 @@ from typer.core import TyperGroup
 from gelform.cli.options import Json, Quiet
 from gelform.errors import DOUBTFUL, DataError, FrameTally, GelformError, Progress, counted, no_progress
 
+LINE_EVERY_S = 30.0  # between lines of progress in a file, which keeps them
 # What steers a terminal: control codes (C0, DEL, C1), line separators, and marks that turn the direction of writing.
 _STEERING = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 
@@ -104,9 +106,20 @@ class ShownOption:
 
     @contextmanager
     def progress(self) -> Iterator[Progress]:
-        """Show a bar for each kind of work on standard error, if that is a terminal; yields the function that updates it."""
-        if self.quiet or sys.stderr is None or not sys.stderr.isatty():
+        """Show a bar for each kind of work on standard error, or lines where that is no terminal; yields what updates it."""
+        if self.quiet or sys.stderr is None:
             yield no_progress
+            return
+        if not sys.stderr.isatty():
+            last = time.monotonic()
+
+            def line(done: int, total: int, what: str) -> None:
+                nonlocal last
+                if time.monotonic() - last >= LINE_EVERY_S:
+                    last = time.monotonic()
+                    say(f"{what}: {done} of {total}" if total else f"{what}: {done}")
+
+            yield line
             return
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn

@@ -177,7 +177,9 @@ class Hub:
             self.recordings.add(ended.path)
         elif ended.problem:
             said = ""
-        self.notice(f"{ended.problem} {said}".strip(), "warning" if ended.problem else "info")
+        gaps = ended.gaps
+        text = " ".join(filter(None, (ended.problem, f"{said}. {gaps}" if gaps else said)))
+        self.notice(text, "warning" if ended.problem or gaps else "info")
 
     def facts(self, notices_after: int = 0) -> dict[str, Any]:
         """The state for the page, besides frames."""

@@ -19,7 +19,16 @@ from typer import BadParameter, Option
 
 import gelform
 from gelform.cli import options
-from gelform.cli.console import MISTAKE, ShownOption, check_pictures, figure, one_line, say, status_of
+from gelform.cli.console import (
+    LINE_EVERY_S,
+    MISTAKE,
+    ShownOption,
+    check_pictures,
+    figure,
+    one_line,
+    say,
+    status_of,
+)
 from gelform.cli.files import Inputs, check_results, make_folder, named, result_paths, save_by_name
 from gelform.cli.options import argument, one_of, option, usage_errors
 from gelform.errors import FrameTally, GelformError, counted, reason
@@ -374,7 +383,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[BatchSummary], None]]:
         nonlocal last, before
         now = time.monotonic()
         before = summary.parts_done - 1 if before < 0 else before
-        if quiet or now - last < (0.2 if on_screen else 30):  # s between lines, which a file keeps
+        if quiet or now - last < (0.2 if on_screen else LINE_EVERY_S):  # s between lines, which a file keeps
             return
         last = now
         line = _line(summary, now - begin, summary.parts_done - before)

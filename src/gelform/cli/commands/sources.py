@@ -186,6 +186,8 @@ def record(
     for name in ("ball_diameter_mm", "sensor", "mm_per_px"):
         if getattr(taken, name) is not None:
             raise BadParameter("is for --presses only.", param_hint=f"--{name.replace('_', '-')}")
+    from gelform.sensors.record import why_missing
+
     digest = "" if calibration is None else gelform.load_calibration(calibration).digest
     stats, grabbed = _recorded(opened, output, seconds, frames, digest, shown)
     reopened = grabbed.reopened
@@ -198,25 +200,8 @@ def record(
         f"{stats.written_bytes / 1e6:.1f} MB."
     )
     if stats.missing:
-        shown.say(why_missing(stats, grabbed))
+        shown.say(f"{'warning: ' if stats.has_gaps else ''}{why_missing(stats, grabbed.drops)}")
     shown.json({"recording": output, **vars(stats), "reopened": reopened, "lost_on_the_way": grabbed.drops})
-
-
-def why_missing(stats: RecordStats, grabbed: GrabberStats) -> str:
-    """Why frames of a recording are missing, and the rate that was kept; a warning over 5 %."""
-    all_of, rate_hz = stats.frames + stats.missing, (stats.frames - 1) / max(stats.duration_s, 1e-9)
-    lost = min(grabbed.drops, stats.missing)
-    reasons = {
-        "lost before gelform got them (cable, hub, or a machine that is slower than the source)": lost,
-        "not written, because this machine or its disk was too slow": stats.missing - lost,
-    }
-    said = " and ".join(f"{count} {why}" for why, count in reasons.items() if count)
-    share = stats.missing / all_of
-    level = "warning: " if share > 0.05 else ""
-    return (
-        f"{level}{stats.missing} of {all_of} frames ({100 * share:.2g} %) are missing: {said}. {rate_hz:.3g} frames a "
-        "second were kept; a lower rate or a smaller picture loses fewer (--set fps=...; USB cameras: --set width=...)."
-    )
 
 
 def _recorded(
