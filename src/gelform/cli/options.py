@@ -84,20 +84,22 @@ def ball_diameter(text: str) -> float:
 
 
 FILE_ENDINGS = (
-    ".npz",
-    ".npy",
-    ".png",
-    ".jpg",
-    ".jpeg",
-    ".tif",
-    ".tiff",
-    ".csv",
-    ".parquet",
-    ".json",
-    ".toml",
-    ".html",
+    *(
+        ".npz",
+        ".npy",
+        ".png",
+        ".jpg",
+        ".jpeg",
+        ".tif",
+        ".tiff",
+        ".csv",
+        ".parquet",
+        ".json",
+        ".toml",
+        ".html",
+    ),
+    *(".pdf", ".zip", ".mcap", ".h5", ".hdf5", ".mp4", ".avi", ".ply", ".stl", ".x3p"),
 )
-FILE_ENDINGS += (".pdf", ".zip", ".mcap", ".h5", ".hdf5", ".mp4", ".avi", ".ply", ".stl", ".x3p")
 
 
 def a_folder(path: Path | None) -> Path | None:
