@@ -352,5 +352,5 @@ def test_the_matrix_of_opencv_rectifies_as_it_does(form):
 
 @pytest.mark.parametrize("wrong", [[1.0] * 8, "x", [0.0] * 9, [[1, 0], [0, 1]]])
 def test_a_matrix_that_rectifies_nothing_is_refused(wrong):
-    with pytest.raises(ValueError, match=r"rectify as the 9 finite numbers|can be undone"):
+    with pytest.raises(ValueError, match=r"perspective as 9 finite numbers|can be undone"):
         View.from_dict({"rectify": wrong})

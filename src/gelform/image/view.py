@@ -232,7 +232,7 @@ def _lens_of_matrix(matrix: Any) -> Lens:
         numbers = tuple(np.asarray(matrix, dtype=np.float64).ravel().tolist())
     except (TypeError, ValueError):
         numbers = ()
-    given = Lens((1, 1, 0, 0), (), _numbers(numbers, (9,), "rectify as the 9 finite numbers of a matrix"))
+    given = Lens((1, 1, 0, 0), (), numbers)  # without distortion, any camera
     back = np.linalg.inv(given._homography)
     return replace(given, perspective=tuple((back / back[2, 2] if back[2, 2] else back).ravel().tolist()))
 
