@@ -3,7 +3,9 @@
 python examples/03_stream.py
 """
 
+import tempfile
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -15,7 +17,7 @@ sensor = LAYOUTS["three-edges"]
 presses = simulate_ball_presses(
     sensor, ball_diameters_mm=[6.0], count=8, rng=np.random.default_rng(0), oversample=1
 )
-folder = gelform.save_simulated_presses("presses", presses)
+folder = gelform.save_simulated_presses(Path(tempfile.mkdtemp()) / "presses", presses)
 calibration = gelform.calibrate(gelform.read_presses(folder), color_model="polynomial")
 
 deepest, ages_s = 0.0, []

@@ -4,7 +4,9 @@ The frames are simulated; on a robot they come from `gelform.stream`, as in 03_s
 force. A position-controlled gripper can stop at an indentation instead.
 """
 
+import tempfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -24,7 +26,7 @@ from gelform.simulate import (
 rng = np.random.default_rng(0)
 plain = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.127)
 presses = simulate_ball_presses(plain, ball_diameters_mm=[6.0], count=10, rng=rng, oversample=1)
-folder = gelform.save_simulated_presses("presses", presses)
+folder = gelform.save_simulated_presses(Path(tempfile.mkdtemp()) / "presses", presses)
 calibration = gelform.calibrate(gelform.read_presses(folder), color_model="polynomial")
 sensor = replace(plain, coating=replace(plain.coating, marker_pitch_mm=2.2, marker_radius_mm=0.4))
 reconstruct = gelform.Reconstructor(calibration, background=simulate_background(sensor, rng))

@@ -4,7 +4,9 @@ A calibration contains the forward response of its sensor (slope and place to co
 imitated sensor is itself simulated, so that the copy can be compared with the original.
 """
 
+import tempfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -15,7 +17,7 @@ from gelform.simulate import LAYOUTS, Ball, Pose, Twin, simulate_ball_presses, t
 rng = np.random.default_rng(0)
 sensor = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.127)
 presses = simulate_ball_presses(sensor, ball_diameters_mm=[5.0, 8.0], count=10, rng=rng, oversample=1)
-folder = gelform.save_simulated_presses("presses", presses)
+folder = gelform.save_simulated_presses(Path(tempfile.mkdtemp()) / "presses", presses)
 calibration = gelform.calibrate(gelform.read_presses(folder), color_model="polynomial")
 
 # 2. Its twin shows what the sensor would show: the same surface in both, and how far the colors are apart.

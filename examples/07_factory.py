@@ -4,7 +4,9 @@ A limit is compared with the measured value and its uncertainty (the decision ru
 standard deviations of the limit gives no decision, and neither does a frame with a finding about the sensor.
 """
 
+import tempfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -30,7 +32,7 @@ def decided(result):
 # 1. The station's sensor, calibrated once; `gelform info cal.npz` says its errors.
 sensor = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.127)
 presses = simulate_ball_presses(sensor, ball_diameters_mm=[5.0, 8.0], count=10, rng=rng, oversample=1)
-folder = gelform.save_simulated_presses("presses", presses)
+folder = gelform.save_simulated_presses(Path(tempfile.mkdtemp()) / "presses", presses)
 calibration = gelform.calibrate(gelform.read_presses(folder), color_model="polynomial")
 reconstruct = gelform.Reconstructor(calibration)
 
@@ -42,7 +44,7 @@ for true_mm in (0.10, 0.20, 0.29, 0.31, 0.40, 0.50):
     decision, height_mm, sigma_mm = decided(result)
     decisions[true_mm] = decision
     print(f"true {true_mm:.2f}: {height_mm:.3f} +- {sigma_mm:.3f} mm: {decision}")
-    gelform.save_result(result, f"part_{true_mm:.2f}.npz")  # the record: whole, with the calibration's digest
+    gelform.save_result(result, f"part_{true_mm:.2f}.npz", overwrite=True)  # the whole record
 
 # 3. Nothing good is rejected, nothing bad accepted; what is too near to the limit is said to be so.
 assert all(decision != "accept" for true, decision in decisions.items() if true < LIMIT_MM)

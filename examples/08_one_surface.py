@@ -3,8 +3,10 @@
 python examples/08_one_surface.py
 """
 
+import tempfile
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from gelform.simulate import LAYOUTS, HeightMap, Pose, simulate_ball_presses, si
 rng = np.random.default_rng(0)
 sensor = replace(LAYOUTS["three-edges"], shape=(120, 160), mm_per_px=0.127)
 presses = simulate_ball_presses(sensor, ball_diameters_mm=[5.0, 8.0], count=12, rng=rng, oversample=1)
-folder = gelform.save_simulated_presses("presses", presses)
+folder = gelform.save_simulated_presses(Path(tempfile.mkdtemp()) / "presses", presses)
 calibration = gelform.calibrate(gelform.read_presses(folder), color_model="polynomial")
 reconstruct = gelform.Reconstructor(calibration)
 

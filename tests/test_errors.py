@@ -4,7 +4,7 @@ import inspect
 from importlib import import_module
 
 import gelform
-from gelform.errors import FrameTally, Progress, no_progress
+from gelform.errors import FrameTally, Progress, counted, no_progress, said
 
 
 def test_frames_with_a_doubtful_finding_or_without_depth_are_doubtful():
@@ -36,3 +36,9 @@ def test_every_public_progress_is_that_one():
         assert parameter.annotation in (Progress, "Progress"), function
         assert parameter.default is no_progress, function
         assert import_module(function.__module__).Progress is Progress, function
+
+
+def test_counts_and_quoted_messages_read_as_sentences():
+    assert [counted(count, "press") for count in (0, 1, 2)] == ["0 presses", "1 press", "2 presses"]
+    assert counted(1, "contact") == "1 contact"
+    assert said(ValueError("It is cut off.\nMore.")) == "It is cut off"

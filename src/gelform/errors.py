@@ -66,10 +66,15 @@ def reason(problem: BaseException) -> str:
 
 
 def said(problem: BaseException) -> str:
-    """The message of another library's error about a file, in one line."""
+    """The message of another library's error about a file, in one line and without its full stop."""
     if isinstance(problem, UnicodeDecodeError):
         return f"byte {problem.start} of a text is no character"
-    return str(problem).splitlines()[0] if str(problem) else type(problem).__name__
+    return str(problem).splitlines()[0].rstrip(".") if str(problem) else type(problem).__name__
+
+
+def counted(count: int, noun: str) -> str:
+    """A number with its noun: "1 press", "2 presses"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}{'es' if noun.endswith('s') else 's'}"
 
 
 # Findings after which the depth of the whole frame is doubtful: the calibration, the background or the light is not this

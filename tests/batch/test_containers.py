@@ -114,7 +114,7 @@ def test_compressed_images_and_one_that_is_torn(h5py, tmp_path, cal, images):
     gel = "observations/images/gel"
     summary = run_batch(tmp_path / "episode_*.hdf5", cal, tmp_path / "out", dataset=gel, table="csv")
     assert (summary.complete, summary.frames, summary.errors) == (True, 8, 2)
-    assert "no image" in (tmp_path / "out/frames.csv").read_text()
+    assert "truncated or damaged" in (tmp_path / "out/frames.csv").read_text()
     background = BatchSettings(background_frames=1)
     assert run_batch(tmp_path / "episode_0.hdf5", cal, tmp_path / "b", background, dataset=gel).frames == 4
 
@@ -156,7 +156,9 @@ def test_hdf5_that_cannot_be_is_said(demos, tmp_path):
     for source in (demos, tmp_path):
         with pytest.raises(DataError, match=r"there are data/demo_\*/obs/gelsight \(3 of uint8 3x64x80x3\)"):
             listing_of(source, dataset="data/*/obs/gelsihgt")
-    with pytest.raises(DataError, match="may hold several datasets"):
+    with pytest.raises(
+        DataError, match=r"holds 3 datasets of frames\. Give one with --dataset; there are data"
+    ):
         listing_of(demos)
     with pytest.raises(DataError, match="say with --dataset which dataset"):
         listing_of(tmp_path)
@@ -165,6 +167,16 @@ def test_hdf5_that_cannot_be_is_said(demos, tmp_path):
     demos.write_bytes(demos.read_bytes()[:900])
     with pytest.raises(DataError, match="It is damaged, cut off"):
         listing_of(demos, dataset="data/*/obs/gelsight")
+
+
+def test_the_only_dataset_of_a_file_needs_no_name(h5py, tmp_path, images):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["data/demo_0/obs/gel"] = np.stack(images)
+        file["data/demo_0/depth"] = np.zeros((len(images), 4, 4), np.float32)
+    (film,) = listing_of(tmp_path / "a.h5").sequences
+    assert (film.dataset, film.count) == ("data/demo_0/obs/gel", len(images))
+    with pytest.raises(DataError, match="there is no dataset of frames"):
+        matching(tmp_path, {}, "")
 
 
 def test_frames_that_were_never_written_are_refused_before_they_are_counted(h5py, tmp_path):

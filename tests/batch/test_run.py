@@ -14,6 +14,7 @@ from functools import partial
 from multiprocessing import active_children
 from unittest.mock import patch
 
+import cv2
 import numpy as np
 import pytest
 
@@ -225,6 +226,25 @@ def test_one_thing_is_wrong(output, tmp_path):
         _, _, problems = verify_output(damaged)
         assert said in problems[0].what
         shutil.rmtree(damaged)
+
+
+def test_a_run_that_ends_early_keeps_the_frames_that_are_done(images, cal, tmp_path):
+    (tmp_path / "in").mkdir()
+    for k in range(40):
+        cv2.imwrite(str(tmp_path / "in" / f"{k}.png"), images[k % len(images)][..., ::-1])
+    seen = []
+
+    def interrupted(summary):
+        seen.append(summary.frames)
+        if summary.frames >= 32:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(tmp_path / "in", cal, tmp_path / "out", table="csv", progress=interrupted)
+    assert [frames for frames in seen if frames] == [16, 32], "progress at least every 16 frames"
+    assert verify_output(tmp_path / "out")[0] == 32
+    again = run_batch(tmp_path / "in", cal, tmp_path / "out", table="csv")
+    assert (again.frames, again.frames_before, again.complete) == (8, 32, True)
 
 
 def test_a_run_that_was_killed_before_its_first_frame_is_to_be_run_again(tmp_path):

@@ -119,7 +119,7 @@ def test_presses_that_reach_over_the_image_are_in_no_part():
         assert one_part(circles, SHAPE) is None
         (note,) = coverage_notes(circles, SHAPE)
         assert note.startswith("Take 8 more presses")
-        assert note.endswith("So far 12 presses fit; 20 are advised.")
+        assert note.endswith("Presses that fit so far: 12; 20 are advised.")
         assert "advised" not in str(coverage_notes(circles, SHAPE, started=True)), "5 are then"
 
 

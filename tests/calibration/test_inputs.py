@@ -321,7 +321,7 @@ def test_the_notes_of_inputs_are_of_the_reading_the_scale_and_the_light(presses,
 def test_the_report_says_how_many_presses_are_missing(calibration):
     used = sum(row.accepted for row in calibration.report.presses)
     assert any(
-        f"So far {used} presses fit; 20 are advised" in note and "more presses, first at" in note
+        f"Presses that fit so far: {used}; 20 are advised" in note and "more presses, first at" in note
         for note in calibration.report.notes
     )
 
@@ -389,7 +389,7 @@ def test_fifteen_frames_of_five_presses_are_five_presses(presses):
     assert any(
         note.startswith("10 of 15 images show a press of another image again") for note in held.report.notes
     )
-    assert any("So far 5 presses fit" in note for note in held.report.notes)
+    assert any("Presses that fit so far: 5" in note for note in held.report.notes)
     assert set(held.training_digests) == {press.digest for press in frames.presses}, "no frame of them is new"
     content, of_alone = (
         report_content(some, one, rng=np.random.default_rng(0))

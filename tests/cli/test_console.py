@@ -138,6 +138,20 @@ def test_quiet(capsys):
     assert capsys.readouterr() == ("", "shown\n")
 
 
+def test_long_work_says_where_it_is_without_a_screen(capsys, monkeypatch):
+    clock = iter([0.0, 5.0, 31.0, 31.0, 40.0, 62.0, 62.0])
+    monkeypatch.setattr("gelform.cli.console.time.monotonic", lambda: next(clock))
+    with ShownOption().progress() as progress:
+        for done, what in (
+            (1, "finding circles"),
+            (2, "finding circles"),
+            (3, "finding circles"),
+            (1, "fitting"),
+        ):
+            progress(done, 9, what)
+    assert capsys.readouterr().err == "finding circles: 2 of 9\nfitting: 1 of 9\n"
+
+
 def test_progress_is_for_a_screen_alone(capsys, monkeypatch):
     with ShownOption().progress() as progress:
         progress(1, 2, "working")

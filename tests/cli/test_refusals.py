@@ -70,7 +70,7 @@ MISTAKES = {  # by the beginning of a command: its other arguments, and words of
     "reconstruct image.png": {
         "-c none.npz -o out": "No file",
         "-c image.png -o out": "Expected a gelform calibration, got the picture",
-        "-c cal.npz -o text.png": "got the file",
+        "-c cal.npz -o image": "got the file",
         "-c cal.npz -o . --format png --overwrite": "replace an input",
         "-c cal.npz -o full": "already there",
         "--background rest.png -o out": "take a starter",
@@ -110,6 +110,7 @@ WRONG_USAGE = {
     },
     "calibrate presses -o new.npz": {
         "--model magic": "polynomial",
+        "--report report.html": "expected a folder, got the name of a file: report.html",
         "--crop 1,2,3": "LEFT,TOP,WIDTH,HEIGHT",
         "--background rest.png --background rest.png": "'--background': expected once, got 2 times.",
         "--mm-per-px 15.8": "up to 1 mm, got 15.8. If these are pixels per mm, give 1/15.8 = 0.06329.",
@@ -118,7 +119,11 @@ WRONG_USAGE = {
         "--ball-diameter-mm 300": "'--ball-diameter-mm': Expected ball_diameter_mm up to 200 mm, got 300.",
         "--ball-diameter-mm 6,35": "got '6,35'. Write it with a decimal point: 6.35.",
     },
-    "compare": {"image.png -c cal.npz": "expected two, got 1"},
+    "batch frames -c cal.npz": {"-o out.h5": "expected a folder, got the name of a file: out.h5"},
+    "compare": {
+        "image.png -c cal.npz": "expected two, got 1",
+        "image.png -c cal.npz -c cal.npz -o new.png": "expected a folder, got the name of a file: new.png",
+    },
     "evaluate presses -c cal.npz": {
         "--mm-per-px 15.8": "up to 1 mm",
         "--ball-diameter-mm 300": "up to 200 mm",
@@ -156,6 +161,9 @@ WRONG_USAGE = {
         "--topics depth": "--topics",
         "--name 'Left Finger'": "--name",
         "--domain 233": "--domain",
+    },
+    "bag frames -c cal.npz": {
+        "-o new.mcap": "expected a folder, got the name of a file: new.mcap. Leave out .mcap"
     },
     "bag frames -c cal.npz -o new": {"--topics depth": "--topics", "--name 'Left Finger'": "--name"},
     "scale presses": {
@@ -217,7 +225,7 @@ def place(press_folder, calibration_file, leds, tmp_path_factory):
     save_picture(folder / "noise.png", rng.integers(0, 256, (120, 160, 3), dtype=np.uint8))
     for path in leds:
         shutil.copy(path, folder)
-    for name in ("text.png", "text.npy", "full/image.npz", "reported/circles.csv"):
+    for name in ("text.png", "image", "text.npy", "full/image.npz", "reported/circles.csv"):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text("hello")
     np.save(folder / "nan.npy", np.full((4, 4), np.nan))

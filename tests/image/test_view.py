@@ -333,3 +333,24 @@ def test_the_digest_is_of_values_shape_and_dtype_and_not_of_the_layout():
     assert pixels_digest(image.copy()) == pixels_digest(image)
     assert pixels_digest(image[:, ::-1]) == pixels_digest(np.ascontiguousarray(image[:, ::-1]))
     assert len(pixels_digest(image)) == 64
+
+
+@pytest.mark.parametrize("form", [lambda m: m.ravel().tolist(), np.ndarray.tolist])
+def test_the_matrix_of_opencv_rectifies_as_it_does(form):
+    frame = cv2.GaussianBlur(
+        np.random.default_rng(0).uniform(0, 255, (120, 160, 3)).astype(np.float32), (0, 0), 4
+    )
+    corners = np.array([[20, 10], [140, 5], [150, 110], [12, 100]], dtype=np.float32)
+    matrix = cv2.getPerspectiveTransform(
+        corners, np.array([[0, 0], [159, 0], [159, 119], [0, 119]], np.float32)
+    )
+    view = View.from_dict({"frame_shape": [120, 160], "rectify": form(matrix)})
+    expected = cv2.warpPerspective(frame, matrix, (160, 120))
+    assert np.abs(image_from_frame(frame, view) - expected)[2:-2, 2:-2].max() < 1.0
+    assert View.from_dict(view.to_dict()).lens == view.lens
+
+
+@pytest.mark.parametrize("wrong", [[1.0] * 8, "x", [0.0] * 9, [[1, 0], [0, 1]]])
+def test_a_matrix_that_rectifies_nothing_is_refused(wrong):
+    with pytest.raises(ValueError, match=r"perspective as 9 finite numbers|can be undone"):
+        View.from_dict({"rectify": wrong})

@@ -3,6 +3,7 @@
 A station on a source that fails, is late, disappears and returns: it continues, and reports its state.
 """
 
+import re
 import threading
 import time
 from dataclasses import replace
@@ -231,3 +232,16 @@ def test_a_setup_for_another_sequence_has_forgotten_what_the_last_one_taught(cal
     np.testing.assert_array_equal(fresh.memory.reconstruct.background, calibration.background)
     assert (fresh.memory.zero, fresh.name) == (None, "mine")
     assert replace(Setup()) == Setup()
+
+
+def test_a_recording_with_gaps_ends_with_a_warning(show, tmp_path):
+    hub = Hub()
+    station = show(lambda: Counted(GRAY, rate_hz=100.0), hub)
+    recorder = hub.recorders[station.number] = Recorder(station.grabber, tmp_path)
+    recorder.start()
+    until(lambda: recorder.stats.frames > 8)
+    recorder.close()
+    hub.recorded(station, recorder)
+    _, level, text = hub.facts()["notices"][-1]
+    assert level == "warning"
+    assert re.search(r"^Recorded \d+ frames: .*\. \d+ of \d+ frames \(\d+ %\) are missing: \d+ lost", text)

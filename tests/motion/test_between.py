@@ -339,7 +339,10 @@ REFUSED = {
     "another sensor": (touch(calibration_digest="b"), None),
     "out of order": (touch(time_s=0.5), None),
     "no contact": (touch(radius_mm=0.2), None),
-    "25 % are needed": (touch(pose(4.6), stays=True), pose(4.5)),
+    r"have \d+ % of the contact in common \(\d+ px\), and a motion needs 25 % and 300 px": (
+        touch(pose(4.6), stays=True),
+        pose(4.5),
+    ),
     "from the start": (touch(pose(0.7)), np.eye(4)),
     "turned by 1[123]": (touch(pose(yaw=12)), pose(yaw=11)),
     "another object": (touch(face=lambda x, y: 0.6 * texture(5)(3 * x, 3 * y)), None),

@@ -5,11 +5,14 @@ What a header declares: more pixels than a sensor has take no memory. Images fro
 
 from __future__ import annotations
 
+import pickle
+import re
 import struct
 import tracemalloc
 import zlib
 from functools import partial
 from io import BytesIO
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -18,7 +21,7 @@ import pytest
 import gelform
 from gelform.batch import run_batch
 from gelform.errors import DataError
-from gelform.foundations.files import picture_bytes
+from gelform.foundations.files import picture_bytes, read_npy
 from gelform.image.view import as_levels
 from gelform.sensors import pictures
 from gelform.sensors.pictures import (
@@ -459,6 +462,29 @@ def test_kinds_of_frames_and_what_is_refused():
             image_from_values(values)
 
 
+@pytest.mark.parametrize("kind", ["dict", "frames", "pickle"])
+def test_pickled_arrays_are_named_with_the_line_that_converts_them(tmp_path, monkeypatch, kind):
+    monkeypatch.chdir(tmp_path)
+    path = Path("one.npy")
+    if kind == "pickle":
+        path.write_bytes(pickle.dumps(IMAGE_VALUES))
+    else:
+        objects = np.empty(() if kind == "dict" else 2, dtype=object)
+        for place in np.ndindex(objects.shape):
+            objects[place] = {"NAME": IMAGE_VALUES} if kind == "dict" else IMAGE_VALUES
+        np.save(path, objects, allow_pickle=True)
+    with pytest.raises(DataError, match=r"If you trust it, save .*numpy\.save") as raised:
+        gelform.read_image(path)
+    assert "pickle" in str(raised.value)
+    assert "damaged" not in str(raised.value)
+    with pytest.raises(DataError, match="If you trust it"):
+        read_npy(path, "heights")
+    if kind != "pickle":
+        exec(re.search(r"numpy\.save\(.*\)", str(raised.value))[0], {"numpy": np})
+        frames = np.load("frames.npy")
+        np.testing.assert_array_equal(frames if kind == "dict" else frames[1], IMAGE_VALUES)
+
+
 def test_arrays_of_numpy_are_images(tmp_path):
     path = tmp_path / "one.npy"
     for values in (IMAGE_VALUES, IMAGE_VALUES.astype(np.float64), IMAGE_VALUES / 255):
@@ -469,7 +495,6 @@ def test_arrays_of_numpy_are_images(tmp_path):
         (np.moveaxis(IMAGE_VALUES, 2, 0), "Move the axis of the colors last"),
         (np.zeros((0, 6, 8, 3), np.uint8), r"got \(0, 6, 8, 3\)"),
         (IMAGE_VALUES.astype(np.int32) * 300, "one.npy: Expected whole numbers from 0 to 255"),
-        (np.array([{"image": IMAGE_VALUES}]), "no array file"),
     ):
         np.save(path, values)
         with pytest.raises(DataError, match=said):

@@ -26,7 +26,7 @@ from made.sources import ImageSource, video_file
 
 
 def test_a_folder_also_of_blue_green_red_and_what_cannot_be_set(tmp_path):
-    image = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
+    image = np.arange(768, dtype=np.uint8).reshape(16, 16, 3)
     cv2.imwrite(str(tmp_path / "0.png"), image)  # it takes the array as blue, green, red
     ((frame,), (other,)) = (open_source(tmp_path, bgr=bgr) for bgr in (False, True))
     np.testing.assert_array_equal(frame.image, image[..., ::-1])
@@ -40,6 +40,11 @@ def test_a_folder_also_of_blue_green_red_and_what_cannot_be_set(tmp_path):
         with pytest.raises(SensorError, match="is no USB camera: exposure cannot be set"):
             open_source(spec, settings={"exposure": 5})
         open_source(spec, settings={}).close()
+        with open_source(spec, settings={"fps": 10}) as source:
+            assert source.rate_hz == 10
+    film = video_file(tmp_path / "film.avi", [image])
+    with pytest.raises(SensorError, match=r"film\.avi is no USB camera: fps cannot be set"):
+        open_source(film, settings={"fps": 10})
 
 
 def test_what_is_no_source_says_what_is(tmp_path, monkeypatch):

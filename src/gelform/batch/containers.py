@@ -14,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.errors import DataError, needed
+from gelform.errors import DataError, needed, said
 from gelform.foundations.files import MAX_TEXT_BYTES, bytes_of
 
 BLOCK_FRAMES = 64  # limit of one read
@@ -82,16 +82,29 @@ class ContainerError(DataError):
 def matching(path: Path, there: Mapping[str, tuple[tuple[int, ...], str]], wanted: str) -> list[str]:
     """The datasets, of `there` with shape and type, that match a pattern ("data/*/obs/gelsight"); * matches one name.
 
-    DataError: none does. It lists the datasets; those that differ only in a number appear once.
+    Without a pattern, the only one there is. DataError: none does. It lists the datasets.
     """
     parts = wanted.strip("/").split("/")
+    if not wanted and len(there) == 1:
+        return list(there)
     found = [
         one
         for one in there
-        if wanted and one.count("/") == len(parts) - 1 and all(map(fnmatchcase, one.split("/"), parts))
+        if one.count("/") == len(parts) - 1 and all(map(fnmatchcase, one.split("/"), parts))
     ]
     if found:
         return found
+    listed = "are " + ", ".join(_in_words(there)) if there else "is no dataset of frames (N, H, W, 3)"
+    said = (
+        f"Expected {wanted} in {path}, got none"
+        if wanted
+        else f"{path} holds {len(there) or 'no'} datasets of frames"
+    )
+    raise DataError(f"{said}. Give one with --dataset; there {listed}.")
+
+
+def _in_words(there: Mapping[str, tuple[tuple[int, ...], str]]) -> list[str]:
+    """Each dataset with its shape and type; those that differ only in a number appear once."""
     kinds: dict[str, list[str]] = {}
     for one in there:
         kinds.setdefault(re.sub(r"\d+", "*", one), []).append(one)
@@ -100,9 +113,7 @@ def matching(path: Path, there: Mapping[str, tuple[tuple[int, ...], str]], wante
         shape, dtype = there[first]
         count = f"{1 + len(more)}" if more else "one"
         texts.append(f"{pattern if more else first} ({count} of {dtype} {'x'.join(map(str, shape))})")
-    listed = "are " + ", ".join(texts) if texts else "is no dataset of frames (N, H, W, 3)"
-    said = f"Expected {wanted} in {path}, got none" if wanted else f"{path} may hold several datasets"
-    raise DataError(f"{said}. Give one with --dataset; there {listed}.")
+    return texts
 
 
 def blocks(dataset: Any, start: int, count: int, chunk: int) -> Iterator[NDArray[Any] | DataError]:
@@ -121,7 +132,7 @@ def blocks(dataset: Any, start: int, count: int, chunk: int) -> Iterator[NDArray
                 try:
                     yield np.asarray(dataset[index])
                 except DAMAGED as problem:
-                    yield DataError(f"Cannot read frame {index} of {dataset.name}: {problem}.")
+                    yield DataError(f"Cannot read frame {index} of {dataset.name}: {said(problem)}.")
 
 
 def is_frames(shape: tuple[int, ...], dtype: Any) -> bool:
@@ -152,13 +163,7 @@ def films_in_container(path: Path, name: str, wanted: str) -> list[FilmRef]:
     """
     films: list[FilmRef] = []
     with _opened(path) as group:
-        members: dict[str, Any] = {}
-        if hasattr(group, "visititems"):  # of h5py
-            group.visititems(members.__setitem__)
-        else:
-            members.update(group.members(max_depth=None))
-        arrays = {inside: one for inside, one in members.items() if hasattr(one, "shape")}
-        there = {one: (a.shape, str(a.dtype)) for one, a in arrays.items() if is_frames(a.shape, a.dtype)}
+        arrays, there = _datasets_in(group)
         for one in sorted(matching(path, there, wanted), key=natural):
             _check_stored(path, arrays[one])
             length = there[one][0][0]
@@ -175,6 +180,28 @@ def films_in_container(path: Path, name: str, wanted: str) -> list[FilmRef]:
                 for k, (a, b) in enumerate(zip([0, *ends[:-1]], ends))
             ]
     return films
+
+
+Shapes = dict[str, tuple[tuple[int, ...], str]]  # shape and type of each dataset, or of each camera's frames
+
+
+def _datasets_in(group: Any) -> tuple[dict[str, Any], Shapes]:
+    """All arrays of an open file or store by name, and shape and type of those that may hold frames."""
+    members: dict[str, Any] = {}
+    if hasattr(group, "visititems"):  # of h5py
+        group.visititems(members.__setitem__)
+    else:
+        members.update(group.members(max_depth=None))
+    arrays = {inside: one for inside, one in members.items() if hasattr(one, "shape")}
+    return arrays, {one: (a.shape, str(a.dtype)) for one, a in arrays.items() if is_frames(a.shape, a.dtype)}
+
+
+def frames_inside(path: Path) -> list[str]:
+    """What `--dataset` can name in an HDF5 file, a Zarr store or a LeRobot data set; DataError: it cannot be read."""
+    if is_lerobot_set(path):
+        return _in_words(_cameras_in(lerobot_info(path)))
+    with _opened(path) as group:
+        return _in_words(_datasets_in(group)[1])
 
 
 def container_values(path: Path, dataset: str, start: int, count: int) -> Iterator[NDArray[Any] | DataError]:
@@ -213,7 +240,7 @@ def _opened(path: Path) -> AbstractContextManager[Any]:
             return cast("AbstractContextManager[Any]", h5py.File(path, "r"))
         except OSError as problem:
             raise ContainerError(
-                f"Cannot read {path} as HDF5: {problem}. It is damaged, cut off, or of another kind."
+                f"Cannot read {path} as HDF5: {said(problem)}. It is damaged, cut off, or of another kind."
             ) from problem
     zarr = needed("zarr", "data", "Zarr")
     try:
@@ -221,7 +248,7 @@ def _opened(path: Path) -> AbstractContextManager[Any]:
         return nullcontext(zarr.open_group(store, mode="r"))
     except Exception as problem:  # a dozen classes, depending on the version of zarr
         raise ContainerError(
-            f"Cannot read {path} as a Zarr group: {problem}. It is damaged, or of another kind."
+            f"Cannot read {path} as a Zarr group: {said(problem)}. It is damaged, or of another kind."
         ) from problem
 
 
@@ -257,21 +284,27 @@ def lerobot_episodes(root: Path, columns: list[str]) -> list[dict[str, Any]]:
         for path in sorted((root / EPISODE_TABLES).glob("*/*.parquet")):
             rows += parquet.read_table(path, columns=columns).to_pylist()
     except (pyarrow.ArrowException, OSError, KeyError) as problem:
-        raise DataError(f"Cannot read the episodes of {root}: {problem}.") from problem
+        raise DataError(f"Cannot read the episodes of {root}: {said(problem)}.") from problem
     if not rows or set(rows[0]) != set(columns):
         lacking = sorted(set(columns) - set(rows[0] if rows else ()))
         raise DataError(f"Expected {', '.join(lacking)} in {root / EPISODE_TABLES}, got none.")
     return sorted(rows, key=lambda row: row["episode_index"])
 
 
-def films_in_lerobot_set(root: Path, wanted: str) -> list[FilmRef]:
-    """A film for each episode of each matching camera, from videos or images; DataError if there is none."""
-    info, cameras = lerobot_info(root), {}
+def _cameras_in(info: Mapping[str, Any]) -> Shapes:
+    cameras: Shapes = {}
     for key, feature in info["features"].items():
         if feature.get("dtype") in ("video", "image"):
             more = feature.get("info") or {}
             if not (more.get("is_depth_map") or more.get("video.is_depth_map")):
                 cameras[key] = tuple(feature["shape"]), feature["dtype"]
+    return cameras
+
+
+def films_in_lerobot_set(root: Path, wanted: str) -> list[FilmRef]:
+    """A film for each episode of each matching camera, from videos or images; DataError if there is none."""
+    info = lerobot_info(root)
+    cameras = _cameras_in(info)
     films: list[FilmRef] = []
     for key in matching(root, cameras, wanted):
         in_video = cameras[key][1] == "video"
@@ -342,7 +375,7 @@ def video_frames(
                 if done == count:
                     return
     except (av.FFmpegError, IndexError) as problem:
-        raise DataError(f"Cannot read {path}: {problem}.") from problem
+        raise DataError(f"Cannot read {path}: {said(problem)}.") from problem
     raise DataError(
         f"Expected {offset + start + count} frames in {path}, got {offset + start + done}. It is cut off."
     )
@@ -378,7 +411,7 @@ def stored_images(
                 )
                 done += 1
     except (pyarrow.ArrowException, OSError, KeyError) as problem:
-        raise DataError(f"Cannot read {key} in {path}: {problem}.") from problem
+        raise DataError(f"Cannot read {key} in {path}: {said(problem)}.") from problem
     if done < count:
         raise DataError(
             f"Expected {offset + start + count} rows in {path}, got {offset + start + done}. It is cut off."

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from gelform.arrays import Array, Mask, Numbers
 from gelform.calibration.presses.press_set import Circle
+from gelform.errors import counted
 from gelform.result.metrics import followed_radius
 
 
@@ -219,7 +220,8 @@ def coverage_notes(
         places = press_next(coverage, min(missing, NAMED_PLACES))
         where = _at("first", places) or ", all over the gel"
         return (
-            f"Take {missing} more presses{where}. So far {len(circles)} presses fit; {advised} are advised.",
+            f"Take {counted(missing, 'more press')}{where}. Presses that fit so far: {len(circles)}; "
+            f"{advised} are advised.",
         )
     if coverage.fraction < 0.5:
         where = _at("first", press_next(coverage)) or ", with larger contacts"

@@ -14,6 +14,7 @@ import re
 import signal
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -25,8 +26,9 @@ import typer
 from typer.core import TyperGroup
 
 from gelform.cli.options import Json, Quiet
-from gelform.errors import DOUBTFUL, DataError, FrameTally, GelformError, Progress, no_progress
+from gelform.errors import DOUBTFUL, DataError, FrameTally, GelformError, Progress, counted, no_progress
 
+LINE_EVERY_S = 30.0  # between lines of progress in a file, which keeps them
 # What steers a terminal: control codes (C0, DEL, C1), line separators, and marks that turn the direction of writing.
 _STEERING = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 
@@ -104,9 +106,20 @@ class ShownOption:
 
     @contextmanager
     def progress(self) -> Iterator[Progress]:
-        """Show a bar for each kind of work on standard error, if that is a terminal; yields the function that updates it."""
-        if self.quiet or sys.stderr is None or not sys.stderr.isatty():
+        """Show a bar for each kind of work on standard error, or lines where that is no terminal; yields what updates it."""
+        if self.quiet or sys.stderr is None:
             yield no_progress
+            return
+        if not sys.stderr.isatty():
+            last = time.monotonic()
+
+            def line(done: int, total: int, what: str) -> None:
+                nonlocal last
+                if time.monotonic() - last >= LINE_EVERY_S:
+                    last = time.monotonic()
+                    say(f"{what}: {done} of {total}" if total else f"{what}: {done}")
+
+            yield line
             return
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
@@ -343,11 +356,11 @@ def status_of(tally: FrameTally, *, accept_doubtful: bool, quiet: bool) -> int:
     if by_count:
         percents = [(name, 100 * count / tally.frames) for name, count in by_count]
         shares = [f"{name} {'under 1' if percent < 1 else f'{percent:.0f}'} %" for name, percent in percents]
-        say(f"Findings in {tally.frames} frames: {', '.join(shares)}.", quiet)
+        say(f"Findings in {counted(tally.frames, 'frame')}: {', '.join(shares)}.", quiet)
     if tally.failed:
         kind, count = max(tally.reasons.items(), key=lambda one: one[1])
-        all_of = f"{tally.failed} of {tally.frames + tally.failed} frames failed"
-        common = "Each" if count == tally.failed == 1 else f"The commonest reason ({count} frames)"
+        all_of = f"{tally.failed} of {counted(tally.frames + tally.failed, 'frame')} failed"
+        common = "Each" if count == tally.failed == 1 else f"The commonest reason ({counted(count, 'frame')})"
         say(f"gelform: error: {all_of}. {common}: {tally.examples[kind]}")
     if tally.frames and tally.is_useless:
         say(f"gelform: error: no frame was usable: depth is known in none of {tally.frames}.")
@@ -356,7 +369,8 @@ def status_of(tally: FrameTally, *, accept_doubtful: bool, quiet: bool) -> int:
         return MISTAKE if tally.failed else 0
     causes = ", ".join(f"{name} in {count}" for name, count in by_count if name in DOUBTFUL)
     say(
-        f"gelform: error: the depth of {tally.doubtful} of {tally.frames} frames is doubtful ({causes or 'it is unknown'}). "
+        f"gelform: error: the depth of {tally.doubtful} of {counted(tally.frames, 'frame')} is doubtful "
+        f"({causes or 'it is unknown'}). "
         "Are calibration and background of this sensor, with this gel and light? If they are: --accept-doubtful."
     )
     if tally.failed:

@@ -83,6 +83,32 @@ def ball_diameter(text: str) -> float:
         return check_ball_diameter(positive(text))
 
 
+FILE_ENDINGS = (
+    *(
+        ".npz",
+        ".npy",
+        ".png",
+        ".jpg",
+        ".jpeg",
+        ".tif",
+        ".tiff",
+        ".csv",
+        ".parquet",
+        ".json",
+        ".toml",
+        ".html",
+    ),
+    *(".pdf", ".zip", ".mcap", ".h5", ".hdf5", ".mp4", ".avi", ".ply", ".stl", ".x3p"),
+)
+
+
+def a_folder(path: Path | None) -> Path | None:
+    """The name of a folder, which may be new; BadParameter if it is one of a file."""
+    if path is not None and path.suffix.lower() in FILE_ENDINGS and not path.is_dir():
+        raise BadParameter(f"expected a folder, got the name of a file: {path}. Leave out {path.suffix}.")
+    return path
+
+
 def argument(metavar: str, help: str) -> Any:
     """An argument, which the help calls `metavar`."""
     return Argument(metavar=metavar, help=help)
@@ -90,7 +116,7 @@ def argument(metavar: str, help: str) -> Any:
 
 def option(metavar: str, help: str) -> Any:
     """An option named as its parameter, whose value the help calls `metavar`."""
-    return Option(metavar=metavar, help=help)
+    return Option(metavar=metavar, help=help, callback=a_folder if metavar == "DIR" else None)
 
 
 def number(help: str, parser: Callable[[str], float] = positive) -> Any:
@@ -100,7 +126,9 @@ def number(help: str, parser: Callable[[str], float] = positive) -> Any:
 
 def output(metavar: str, help: str) -> Any:
     """The option that names what a command writes."""
-    return Option("--output", "-o", metavar=metavar, help=help)
+    return Option(
+        "--output", "-o", metavar=metavar, help=help, callback=a_folder if metavar == "DIR" else None
+    )
 
 
 def calibration(help: str) -> Any:

@@ -468,12 +468,27 @@ def read_npy(path: str | os.PathLike[str], what: str) -> Array:
     content = bytes_of(path, f"{what} (.npy)", MAX_ARRAY_BYTES)
     if content.startswith(b"PK"):
         raise DataError(f"Expected one array (.npy) in {path}, got an archive. Save {what} alone.")
+    refuse_pickled(path, content)
     try:
         return _array(content)
     except ValueError as problem:
         raise DataError(
-            f"{path} is no array file (.npy) of numbers, or a damaged one: {problem}."
+            f"{path} is no array file (.npy) of numbers, or a damaged one: {said(problem)}."
         ) from problem
+
+
+def refuse_pickled(path: str | os.PathLike[str], content: bytes) -> None:
+    """DataError, with what converts it, if a `.npy` file begins as one of Python objects, or as a pickle under that name."""
+    if content.startswith(b"\x80"):  # the opcode PROTO, from protocol 2 on
+        raise DataError(f"{path} is no array. {_PICKLE}")
+    header = content[:256]
+    if header.startswith(np.lib.format.MAGIC_PREFIX) and b"'|O'" in header:
+        member = '.item()["NAME"]' if b"'shape': ()" in header else ""  # saved from a dict
+        raise DataError(
+            f"{path} holds pickled Python objects. Reading them can run code, so gelform does not. If you trust it, save "
+            f'its numbers: numpy.save("frames.npy", numpy.stack(numpy.load("{PurePath(path).name}", '
+            f"allow_pickle=True){member}))."
+        )
 
 
 def checked_archive(path: str | os.PathLike[str], what: str, max_bytes: int = MAX_ARRAY_BYTES) -> list[str]:

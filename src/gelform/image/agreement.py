@@ -448,9 +448,10 @@ def _exposure_findings(light: FrameLight) -> tuple[Finding, ...]:
         message = "gelform cannot compare the exposure: every part of the image is too dark in some channel, or saturated."
         return (Finding("exposure_unknown", message, 0.0),)
     if not light.is_known:
+        sigma = float(np.sqrt(light.covariance[:, 0, 0].max()))
         message = (
-            f"gelform cannot tell the exposure well, because {100 * light.share:.0f} % of the image is at rest. "
-            "The slopes' sigma contains what an unknown exposure does."
+            f"gelform cannot tell the exposure well: its standard deviation is {100 * sigma:.2g} %, as where a contact or "
+            "noise fills the image. The slopes' sigma contains what an unknown exposure does."
         )
         return (Finding("exposure_unknown", message, light.share),)
     gains = light.gain.tolist()

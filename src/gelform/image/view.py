@@ -226,6 +226,17 @@ class Lens:
         return cls(**settings)
 
 
+def _lens_of_matrix(matrix: Any) -> Lens:
+    """The lens of a frame without distortion, from a homography (9 numbers or 3x3) of its pixels to rectified ones."""
+    try:
+        numbers = tuple(np.asarray(matrix, dtype=np.float64).ravel().tolist())
+    except (TypeError, ValueError):
+        numbers = ()
+    given = Lens((1, 1, 0, 0), (), numbers)  # without distortion, any camera
+    back = np.linalg.inv(given._homography)
+    return replace(given, perspective=tuple((back / back[2, 2] if back[2, 2] else back).ravel().tolist()))
+
+
 MAX_PIXELS = 200e6  # pixels of a frame or an image, at most
 FLIPS = ("none", "x", "y", "xy")
 TURNS = {"none": 0, "left": 1, "right": -1}  # quarter turns counterclockwise
@@ -357,7 +368,13 @@ class View:
 
     @classmethod
     def from_dict(cls, settings: Mapping[str, Any]) -> View:
-        """A view from `to_dict` or the `[view]` table of a `sensor.toml`; an unknown key is a ValueError."""
+        """A view from `to_dict` or the `[view]` table of a `sensor.toml`; an unknown key is a ValueError.
+
+        `rectify`, in the place of `lens`, is the matrix that OpenCV's `warpPerspective` takes: frame to rectified pixels.
+        """
+        if "rectify" in settings and "lens" not in settings:
+            settings = {**settings, "lens": _lens_of_matrix(settings["rectify"])}
+            del settings["rectify"]
         known = [field.name for field in fields(cls)]
         unknown = [name for name in settings if name not in known]
         if unknown:

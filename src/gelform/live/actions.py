@@ -19,7 +19,7 @@ from gelform.calibration.library import (
     unit_named,
     unit_of_camera,
 )
-from gelform.errors import Progress
+from gelform.errors import Progress, counted
 from gelform.image.agreement import touch_in
 from gelform.image.background import USUAL_FRAMES
 from gelform.live.hub import GuideSession, Hub, starter_of_station
@@ -66,7 +66,7 @@ def take_background(hub: Hub, station: Station) -> None:
 def _taken_from(frames: int) -> str:
     if frames == 1:
         return "Background taken from one frame, whose noise it keeps. Play the recording to average several."
-    return f"Background taken: the average of {frames} frames."
+    return f"Background taken: the average of {counted(frames, 'frame')}."
 
 
 def take_starter(hub: Hub, station: Station, sensor: str) -> None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from gelform import GelformError
 from gelform.calibration.starters import make_name, starter_names, starter_of_source
-from gelform.errors import Progress
+from gelform.errors import Progress, counted
 from gelform.live.lists import Calibrations, Devices, Recordings
 from gelform.live.shown import Shown, Snapshots
 from gelform.live.station import Station
@@ -172,12 +172,14 @@ class Hub:
             if self.recorders.get(station.number) is not ended:
                 return
             del self.recorders[station.number]
-        said = f"Recorded {ended.stats.frames} frames: {ended.path.name}"
+        said = f"Recorded {counted(ended.stats.frames, 'frame')}: {ended.path.name}"
         if ended.stats.frames:
             self.recordings.add(ended.path)
         elif ended.problem:
             said = ""
-        self.notice(f"{ended.problem} {said}".strip(), "warning" if ended.problem else "info")
+        gaps = ended.gaps
+        text = " ".join(filter(None, (ended.problem, f"{said}. {gaps}" if gaps else said)))
+        self.notice(text, "warning" if ended.problem or gaps else "info")
 
     def facts(self, notices_after: int = 0) -> dict[str, Any]:
         """The state for the page, besides frames."""

@@ -447,8 +447,11 @@ def _fitted(first: TouchedSurface, second: TouchedSurface, start: Array, seen: A
         equations = first.equations(second, pose)
         share, seen_px = equations.count / len(first.points), equations.count * first.every**2
         if seen_px < LEAST_PX or share < LEAST_SHARE:
-            touch = f"both frames touch {seen_px} px of the contact, {100 * share:.0f} %"
-            return lost(f"{touch}: {LEAST_PX} px and {100 * LEAST_SHARE:.0f} % are needed", share)
+            return lost(
+                f"the two frames have {100 * share:.0f} % of the contact in common ({seen_px} px), and a motion needs "
+                f"{100 * LEAST_SHARE:.0f} % and {LEAST_PX} px: move less between them",
+                share,
+            )
         step = equations.step(seen, held, step_of_pose(pose @ back, equations.center))
         shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
         if shift < LAST_MM and turn < LAST_RAD:

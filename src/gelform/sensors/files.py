@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from gelform.arrays import Array, Image
-from gelform.errors import DataError, GelformError
+from gelform.errors import DataError, GelformError, said
 from gelform.foundations.checks import (
     check_gel_thickness,
     check_path,
@@ -55,7 +55,7 @@ def read_toml(path: Path, what: str, error: type[GelformError] = DataError) -> d
             f"{path} is no text in UTF-8: byte {problem.start} is none. Save it as UTF-8."
         ) from problem
     except tomllib.TOMLDecodeError as problem:
-        raise error(f"{path} is no TOML file: {problem}.") from problem
+        raise error(f"{path} is no TOML file: {said(problem)}.") from problem
     except RecursionError:
         raise error(f"{path} holds tables inside tables beyond reason: expected {what}.") from None
 

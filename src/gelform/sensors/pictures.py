@@ -19,7 +19,8 @@ import simplejpeg
 
 from gelform._native import Kernel
 from gelform.arrays import Array, Image
-from gelform.errors import DataError, said
+from gelform.errors import DataError, cannot, said
+from gelform.foundations.files import refuse_pickled
 from gelform.image.view import MAX_PIXELS
 
 JPEG = b"\xff\xd8\xff"
@@ -379,6 +380,8 @@ def npy_values(path: Path, most_pixels: float = MAX_PIXELS) -> Array:
     """
     if not path.is_file():
         raise DataError(f"No file {path}. Check the path.")
+    with cannot(f"read {path}"), path.open("rb") as file:
+        refuse_pickled(path, file.read(256))
     try:
         values = np.load(path, mmap_mode="r", allow_pickle=False)
         shape = values.shape

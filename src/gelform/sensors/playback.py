@@ -14,7 +14,7 @@ from threading import Lock
 from typing import Any, TypeVar
 
 from gelform.arrays import Image
-from gelform.errors import DataError, GelformError
+from gelform.errors import DataError, GelformError, said
 from gelform.foundations.files import FAST_PNG, picture_bytes
 from gelform.image.view import Frame, in_rgb
 from gelform.sensors.pictures import JPEG, check_declared, image_from_bytes, image_from_jpeg
@@ -75,7 +75,7 @@ def image_from_encoded(content: bytes, reduction: int, where: str) -> Image:
     try:
         check_declared(content)
     except ValueError as problem:
-        raise DataError(f"{where}: {problem}. It is damaged.") from problem
+        raise DataError(f"{where}: {said(problem)}. It is damaged.") from problem
     image = image_from_jpeg(content, reduction)
     if image is None:
         raise DataError(f"{where} is damaged: its picture cannot be decoded.")

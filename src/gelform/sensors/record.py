@@ -102,6 +102,27 @@ class RecordStats:
     written_bytes: int = 0
     duration_s: float = 0.0  # from first to last
 
+    @property
+    def has_gaps(self) -> bool:
+        """Whether over 5 % of the frames are missing, which is worth a warning."""
+        return self.missing > 0.05 * (self.frames + self.missing)
+
+
+def why_missing(stats: RecordStats, drops: int) -> str:
+    """Why frames of a recording are missing, of which the source lost some (`drops`), and the rate that was kept."""
+    all_of, rate_hz = stats.frames + stats.missing, (stats.frames - 1) / max(stats.duration_s, 1e-9)
+    lost = min(drops, stats.missing)
+    reasons = {
+        "lost before gelform got them (cable, hub, or a machine that is slower than the source)": lost,
+        "not written, because this machine or its disk was too slow": stats.missing - lost,
+    }
+    said = " and ".join(f"{count} {why}" for why, count in reasons.items() if count)
+    return (
+        f"{stats.missing} of {all_of} frames ({100 * stats.missing / all_of:.2g} %) are missing: {said}. {rate_hz:.3g} "
+        "frames a second were kept; a lower rate or a smaller picture loses fewer (--set fps=...; USB "
+        "cameras: --set width=...)."
+    )
+
 
 def new_recording(
     path: Path, grabber: Grabber, *, calibration_digest: str = "", attached: Mapping[str, bytes] | None = None
@@ -212,13 +233,22 @@ class Recorder:
         self.path = new_file(folder, "recording")
         self.stats = RecordStats()  # so far
         self.problem = ""  # why it ended by itself
-        self._grabber = grabber
+        self._grabber, self._drops_before = grabber, grabber.stats.drops
         self._wanted, self._on_ended, self._max_bytes = wanted, on_ended, max_bytes
         self._stop = threading.Event()
         attached = attachments_of(calibration, background)
         digest = _digest_of(calibration)
         self._recording = new_recording(self.path, grabber, calibration_digest=digest, attached=attached)
         self._thread = threading.Thread(target=self._run, name="record", daemon=True)
+
+    @property
+    def gaps(self) -> str:
+        """Why frames are missing, if so many are that it is worth a warning; else ""."""
+        return (
+            why_missing(self.stats, self._grabber.stats.drops - self._drops_before)
+            if self.stats.has_gaps
+            else ""
+        )
 
     def start(self) -> None:
         """Start recording."""

@@ -7,12 +7,12 @@ from math import isfinite
 from numbers import Integral
 from os import PathLike, sep
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 from gelform.errors import DataError, SensorError
 from gelform.foundations.checks import check_path
 from gelform.image.view import Frame, in_rgb
-from gelform.sensors.cameras import UsbCamera, camera_named, path_of_number
+from gelform.sensors.cameras import UsbCamera, camera_named, check_settings, path_of_number
 from gelform.sensors.files import FILM_SUFFIXES
 from gelform.sensors.films import is_film, open_film
 from gelform.sensors.mjpeg import OPEN_S, MjpegUrl, shown_address
@@ -116,7 +116,7 @@ def open_source(
     rate_hz : frames per second of the simulated sensor (60) and of a folder of images (25)
     timeout_s : timeout of the connection to an address, s
     settings : values to set on a USB camera: width, height, fps, fourcc, exposure, gain, white_balance, led_level; they are
-        read back. Other sources accept no settings
+        read back. The simulated sensor and a folder of images take fps, as `rate_hz`; other sources none
     bgr : whether the frames are blue, green, red, as OpenCV writes an array
 
     Returns
@@ -128,20 +128,23 @@ def open_source(
     ------
     SensorError
         No camera or several match (the message lists the connected ones); access is denied (with the udev rule); the camera
-        is in use or rejects a setting; or settings are given for a source that is no USB camera.
+        is in use or rejects a setting; or the source has no such setting.
     DataError
         The file or folder is missing or cannot be read.
     """
     spec = spec_of(spec)
     if not isinstance(spec, (str, PathLike)):
         raise TypeError(f"Expected a source as text, a path or a camera's number, got {type(spec).__name__}.")
-    opened = _without_settings(spec, paced, rate_hz, timeout_s)
+    settings = check_settings(settings or {})
+    fps = settings.get("fps")
+    opened = _without_settings(spec, paced, rate_hz or cast("float | None", fps), timeout_s)
     if opened is None:
         opened = UsbCamera(camera_named(str(spec)), settings)
-    elif settings:
+    elif refused := [name for name in settings if name != "fps" or opened.rate_hz != fps]:
         opened.close()
         raise SensorError(
-            f"{shown_address(str(spec))} is no USB camera: {', '.join(settings)} cannot be set. Leave it out."
+            f"{shown_address(str(spec))} is no USB camera: {', '.join(refused)} cannot be set. Leave it out. A simulated "
+            "sensor and a folder of images take fps alone."
         )
     return FromBgr(opened) if bgr else opened
 

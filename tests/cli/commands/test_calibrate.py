@@ -21,8 +21,10 @@ import pytest
 import gelform
 from gelform.calibration import report
 from gelform.calibration.presses.folder import read_presses
+from gelform.calibration.report.content import LIMITS
 from gelform.calibration.starters import load_starter
 from gelform.calibration_file import load_calibration
+from gelform.cli.commands.calibrate import _with_places
 from gelform.exchange.plots import save_picture
 from gelform.sensors.files import read_sensor_toml
 from gelform.simulate import LAYOUTS, Ball, Pose, simulate_background, simulate_press, simulate_sequence
@@ -47,7 +49,9 @@ def test_a_calibration_and_its_report_whose_circles_can_be_labels(works, folder,
     assert said["verdict"] == verdict
     assert f"gelform calibrations add {output} --serial SERIAL\n" in err
     lines = err.splitlines()
-    assert lines[:2] == [f"{verdict['headline']}.", f"Next: {verdict['next']}"]
+    assert lines[:2] == [
+        f"{verdict['headline']}.", f"Next: {_with_places(verdict['next'], content['coverage']['next'])}",
+    ]  # fmt: skip
     assert lines[2].startswith("small: 10 of 10 presses used; depth on held-out presses is off by ")
     for name in ("cap_free_um", "off_contact_um"):
         assert f"{held_out[name]:.3g} um" in lines[2]
@@ -59,6 +63,17 @@ def test_a_calibration_and_its_report_whose_circles_can_be_labels(works, folder,
     assert np.median(np.hypot(*(np.array(found) - np.array(truth)[:, :2]).T)) < 1.5
     shutil.copy(pages / "circles.csv", folder / "presses.csv")
     assert all(press.label is not None for press in read_presses(folder).presses)
+
+
+def test_a_terminal_names_the_pixels_of_places_that_the_report_marks():
+    places = [
+        {"name": "top left", "x_px": 39.8, "y_px": 30.2}, {"name": "right", "x_px": 140.0, "y_px": 60.0},
+    ]  # fmt: skip
+    for marked in ("Press at the places marked 1, 2, 3. Look.", "Press at places 1, 2, 3. Look."):
+        said = _with_places(marked, places)
+        assert said == "Press at pixels (x, y) top left (40, 30), right (140, 60). Look."
+        assert "1, 2, 3" not in _with_places(marked, [])
+    assert all("1, 2, 3" not in _with_places(one.action, places) for one in LIMITS)
 
 
 def test_tables_are_shown_only_if_asked_for(works, folder, tmp_path):

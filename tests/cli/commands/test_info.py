@@ -17,10 +17,12 @@ from gelform._native import instruction_set
 from gelform.calibration_file import load_calibration
 from gelform.cli.commands import info
 from gelform.cli.commands.info import lines_of, system_facts
+from gelform.exchange.exporters.press_folder import save_moving_press
 from gelform.sensors import cameras
 from gelform.sensors.files import read_image
 from gelform.sensors.mcap import McapRecording
 from gelform.sensors.playback import RecordingFacts
+from gelform.simulate import Coin
 from made.sources import frames, video_file
 
 DECLARED = [
@@ -131,6 +133,9 @@ def test_what_is_unknown_is_said():
     assert ("known", "50 % of the pixels; the others are filled") in said
     assert any("scale unknown" in text for _, text in said)
     assert ("contact 1", "3 px, deepest at (1, 0), cut by the image's border") in said
+    assert ("contacts", "2 smaller ones more (--json gives all)") in lines_of(
+        {**facts, "contacts": 10 * facts["contacts"]}
+    )
 
 
 def test_other_kinds_are_listed():
@@ -176,6 +181,21 @@ def test_a_video_and_what_it_lacks(run, run_json, press_folder, tmp_path):
     assert [text for text in said["missing"] if "--mm-per-px" in text]
     (tmp_path / "sensor.toml").write_text('name = "s"\nmm_per_px = 0.1\n')
     assert len(run_json("info", path)["missing"]) == 1
+
+
+@pytest.mark.slow
+def test_what_simulate_writes_is_described(run, run_json, works, sensor, tmp_path, press_folder):
+    pytest.importorskip("h5py")
+    moving = tmp_path / "moving"
+    save_moving_press(moving, sensor, Coin(), ["hdf5"], 0.3, 0)
+    said = run_json("info", moving / "moving.h5")
+    assert said["kind"] == "HDF5 file"
+    assert said["frames"] == ["data/demo_0/obs/gel (one of uint8 36x132x176x3)"]
+    said = run_json("info", moving / "motion.csv")
+    assert said == {"kind": "table", "columns": ["index", "depth_mm", "x_mm", "y_mm", "turn_deg"], "rows": 36}
+    assert "[mm per px]" in works("info", press_folder / "sensor.toml")[0]
+    (tmp_path / "a.obj").write_text("v 0 0 0")
+    assert "recording, data set or table (.csv), got" in run("info", tmp_path / "a.obj")[2]
 
 
 def test_folders_of_other_packages(run_json, press_folder, tmp_path):

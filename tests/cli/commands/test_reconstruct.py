@@ -6,6 +6,7 @@ gelform batch and gelform verify: figures, exit status, refusals in one line.
 import csv
 import json
 import shutil
+import sys
 import webbrowser
 
 import cv2
@@ -53,6 +54,18 @@ def opened(monkeypatch):
     return paths
 
 
+def test_a_sheet_that_leaves_out_images_is_said(
+    works, images, calibration_file, tmp_path, opened, monkeypatch
+):
+    monkeypatch.setattr(sys.modules["gelform.cli.commands.reconstruct"], "TILES", 4)
+    given = (tmp_path / "in", "-c", calibration_file)
+    _, err = works("reconstruct", *given, "-o", tmp_path / "a", "--view")
+    assert "sheet.png, which shows 4 of 23 images." in " ".join(err.split())
+    _, err = works("batch", *given, "-o", tmp_path / "b", "--table", "csv")
+    assert "sheet.png, which shows 4 of 23." in " ".join(err.split())
+    assert opened
+
+
 def test_a_folder_and_a_pattern_become_depth_to_look_at(
     run, works, images, calibration_file, press_folder, tmp_path, opened
 ):
@@ -86,8 +99,17 @@ def test_a_video_becomes_whole_results_to_look_at(
     expected = gelform.Reconstructor(calibration_file)(frames[2])
     np.testing.assert_array_equal(result.depth_mm, expected.depth_mm)
     assert opened == [(tmp_path / "out" / "sheet.png").as_uri()]
-    assert run(*given, "--format", "npz,png")[0] == 2
-    assert run(*given, "--strict")[0] == 2
+    works(*given, "--format", "npz,png,ply")
+    for form in ("png", "ply"):
+        assert sorted(one.name for one in (tmp_path / "out" / form / "press.avi").iterdir()) == [
+            f"{k:06d}.{form}" for k in range(3)
+        ]
+    works("verify", tmp_path / "out")
+    code, _, err = run(*given, "--strict", "--format", "npz,png")
+    assert code == 2
+    assert "Invalid value for --strict: is for images" in err
+    assert "--format" not in err
+    assert "--skip-existing: is for images" in run(*given, "--skip-existing")[2]
     code, _, err = run("reconstruct", path, press_folder / "background.png", *given[2:])
     assert code == 1
     assert "press.avi is no image. Give it alone" in err
@@ -316,7 +338,7 @@ def test_progress_says_rate_and_time_left():
 def test_what_is_wrong_with_an_output_is_listed_up_to_20_lines(run, works, run_json, pattern, work, tmp_path):
     output = tmp_path / "out"
     assert run("batch", pattern, "-c", work / "cal.npz", "-o", output, "--quiet") == (0, "", "")
-    assert "3 frames are complete, 0 have an error, 0 problems." in works("verify", output)[1]
+    assert "complete: 3 frames; with an error: 0; 0 problems." in works("verify", output)[1]
     assert run_json("verify", output) == {"frames": 3, "errors": 0, "problems": []}
     (output / "frames" / "image1.npz").unlink()
     code, _, err = run("verify", output)

@@ -20,16 +20,15 @@ import pytest
 from gelform.calibration.presses.folder import read_presses
 from gelform.calibration.starters import load_starter
 from gelform.calibration_file import load_calibration
-from gelform.cli.commands import sources
 from gelform.cli.commands.sources import _at_rest, single_keys
 from gelform.image.view import image_from_frame
 from gelform.sensors import cameras as camera
 from gelform.sensors.cameras import Camera
 from gelform.sensors.files import SensorSettings, read_image, read_sensor_toml
 from gelform.sensors.films import open_film
-from gelform.sensors.grabber import Grabber, GrabberStats
+from gelform.sensors.grabber import Grabber
 from gelform.sensors.mcap import end_missing
-from gelform.sensors.record import RecordStats
+from gelform.sensors.record import RecordStats, why_missing
 from gelform.sensors.source import open_source
 from gelform.simulate import LAYOUTS, Ball, simulate_background, simulate_press
 from live_waiting import until
@@ -231,10 +230,12 @@ def test_a_background_that_something_touches_is_refused_once_and_a_dark_surround
 
 def test_why_frames_are_missing_is_said_and_is_a_warning_over_5_percent():
     stats = RecordStats(frames=91, missing=9, written_bytes=1, duration_s=3.0)
-    said = sources.why_missing(stats, GrabberStats(drops=4))
-    assert said.startswith("warning: 9 of 100 frames (9 %) are missing: 4 lost before gelform got them")
+    said = why_missing(stats, 4)
+    assert stats.has_gaps
+    assert said.startswith("9 of 100 frames (9 %) are missing: 4 lost before gelform got them")
     assert " and 5 not written, because this machine or its disk was too slow. 30 frames a second" in said
-    few = sources.why_missing(RecordStats(99, 1, 1, 3.0), GrabberStats(drops=7))
+    assert not RecordStats(99, 1, 1, 3.0).has_gaps
+    few = why_missing(RecordStats(99, 1, 1, 3.0), 7)
     assert few.startswith("1 of 100 frames (1 %) are missing: 1 lost before gelform")
     assert "too slow" not in few
 

@@ -37,6 +37,7 @@ from gelform.foundations.files import written_file
 from gelform.result import Reconstruction
 from gelform.result.maps import KEPT_MAPS, MAPS
 
+FILES_IN_PART = 16  # a killed run loses the frames of a part: a second of work
 FRAMES, PARTS, SHEET = "frames", "parts", "sheet.png"
 KEPT, FORMATS = tuple(KEPT_MAPS), ("npz", "png", "zarr", "hdf5", "lerobot")
 Maps = Mapping[str, NDArray[Any]]
@@ -55,7 +56,7 @@ class BatchSettings:
         npz; in lerobot 1000 + depth in um
     background_frames : number of frames at the start of each sequence that are averaged as its background; 0: none
     bgr : whether the input's channels are in the order blue, green, red, as OpenCV writes an array
-    part_frames : images in one part; a video or a recording is one part
+    part_frames : images in one part, at most 16 for npz and png; a video or a recording is one part
 
     Raises
     ------
@@ -95,7 +96,9 @@ class BatchSettings:
 
     @property
     def frames_in_a_part(self) -> int:
-        """The largest number of images in a part; all of a sequence in LeRobot's form, where that is one file."""
+        """The largest number of images in a part: few where each has a file of its own; for LeRobot all of a sequence."""
+        if self.form in ("npz", "png"):
+            return min(self.part_frames, FILES_IN_PART)
         return sys.maxsize if self.form == "lerobot" else self.part_frames
 
     def facts(self) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform.calibration.geometry.measured import Geometry
-from gelform.errors import DataError
+from gelform.errors import DataError, said
 from gelform.foundations.checks import check_positive, check_sensor_pitch
 from gelform.foundations.files import MAX_ARRAY_BYTES, bytes_of, plain_cell
 from gelform.image.view import View, pixels_digest
@@ -216,7 +216,7 @@ def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict
             f"{path} is no table of text in UTF-8: byte {problem.start} is none. Save it as UTF-8."
         ) from problem
     except csv.Error as problem:
-        raise DataError(f"{path} is no table of comma-separated text: {problem}.") from problem
+        raise DataError(f"{path} is no table of comma-separated text: {said(problem)}.") from problem
 
 
 def file_of(folder: Path, name: str) -> str:

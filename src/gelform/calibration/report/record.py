@@ -27,7 +27,7 @@ from gelform.calibration.selection import (
 )
 from gelform.calibration.start import Start
 from gelform.calibration_file import Calibration
-from gelform.errors import Progress, no_progress
+from gelform.errors import Progress, counted, no_progress
 from gelform.foundations.files import DIGEST_SHOWN
 from gelform.result.metrics import PressErrors
 
@@ -171,7 +171,7 @@ def used_in_words(rows: Sequence[PressReport]) -> str:
     """The number of used presses among those that differ, and of the images that show them again."""
     again = sum(row.repeats is not None for row in rows)
     more = f" ({again} more images show them again)" if again else ""
-    return f"{sum(row.accepted for row in rows)} of {len(rows) - again} presses used{more}"
+    return f"{sum(row.accepted for row in rows)} of {counted(len(rows) - again, 'press')} used{more}"
 
 
 def setting_in_words(value: Any) -> str:

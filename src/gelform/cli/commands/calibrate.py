@@ -6,8 +6,9 @@ gelform scale, lens and crosstalk measure before, from objects of known size, an
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from typer import BadParameter, Option
 
@@ -103,8 +104,7 @@ def calibrate(
     if verbose:
         _show(calibration, shown)
     shown.say(f"{verdict['headline']}.")
-    marks = " (--report DIR shows these places.)" if report is None and "1, 2, 3" in verdict["next"] else ""
-    shown.say(f"Next: {verdict['next']}{marks}")
+    shown.say(f"Next: {_with_places(verdict['next'], content['coverage']['next'])}")
     made = calibration.report
     in_contact, off_contact = (figure(made.held_out.get(name)) for name in ("cap_free_um", "off_contact_um"))
     more = "" if verbose else " (all tables: --verbose)"
@@ -117,6 +117,13 @@ def calibrate(
     serial = "" if calibration.serial else " --serial SERIAL"
     shown.say(f"To let commands find it without -c: gelform calibrations add {output}{serial}")
     shown.json({"calibration": str(output), **made.to_dict(), "verdict": verdict})
+
+
+def _with_places(advice: str, places: Sequence[Mapping[str, Any]]) -> str:
+    """Advice for a terminal, where no map shows the places that the report marks 1, 2, 3: with their pixels."""
+    at = [f"{place['name']} ({place['x_px']:.0f}, {place['y_px']:.0f})" for place in places]
+    where = f"at pixels (x, y) {', '.join(at)}" if at else "all over the gel"
+    return advice.replace("at the places marked 1, 2, 3", where).replace("at places 1, 2, 3", where)
 
 
 def _show(calibration: gelform.Calibration, shown: ShownOption) -> None:

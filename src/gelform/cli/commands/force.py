@@ -22,6 +22,7 @@ from gelform import CalibrationError
 from gelform.cli import options
 from gelform.cli.console import ShownOption, only_writer
 from gelform.cli.files import check_output
+from gelform.errors import counted
 
 if TYPE_CHECKING:
     from gelform.calibration.loads import LoadedPresses
@@ -71,7 +72,8 @@ def calibrate(
         found = _read(loads, loaded, shown, background=background, bgr=bgr)
         if found.lag_frames in (LAGS[0], LAGS[-1]):
             shown.say(
-                f"warning: a lag of {found.lag_frames} frames is at the end of the range that was tried, so it is doubtful. "
+                f"warning: a lag of {counted(found.lag_frames, 'frame')} is at the end of the range that was "
+                "tried, so it is doubtful. "
                 "Check the times, or write the lag into a column lag_frames of loads.csv."
             )
         fitted = gelform.calibrate_force(found.touches, found.loads, sure_of_unit=sure_of_unit)
@@ -81,7 +83,7 @@ def calibrate(
     for kind, unit in UNITS.items():
         if part := described[kind]:
             off = f"{100 * part['relative']:.0f} % and {part['floor']:.2g} {unit}"
-            shown.say(f"{kind}: {part['loads']} loads, one standard deviation {off}.")
+            shown.say(f"{kind}: {counted(part['loads'], 'load')}, one standard deviation {off}.")
     if len(model.objects) == 1:
         shown.say("Only one object was pressed, so at least 30 % are stated. Press two more of other shapes.")
     shown.say(f"Wrote {output}.")
@@ -136,7 +138,9 @@ def _read(folder: Path, calibration: gelform.Calibration, shown: ShownOption, **
     with shown.progress() as progress:
         found = gelform.read_loads(folder, calibration, progress=progress, **given)
     if found.lag_frames is not None:
-        shown.say(f"The gauge lags behind the images by {found.lag_frames} frames; this is removed.")
+        shown.say(
+            f"The gauge lags behind the images by {counted(found.lag_frames, 'frame')}; this is removed."
+        )
     return found
 
 

@@ -19,6 +19,7 @@ import gelform
 from gelform import DataError, GelformError, result
 from gelform.cli.console import in_options, print_json, show
 from gelform.cli.options import Json, argument
+from gelform.errors import counted
 
 
 def system_facts() -> dict[str, Any]:
@@ -141,7 +142,8 @@ def info(
 ) -> None:
     """Describe a file or folder, and list what is missing.
 
-    It recognizes calibrations, results, images, videos, recordings, ROS 2 bags and folders of presses.
+    It recognizes calibrations, results, images, videos, recordings, ROS 2 bags, tables, data sets (HDF5, Zarr, LeRobot)
+    and folders of presses.
 
     \b
     Examples:
@@ -184,8 +186,22 @@ def _file(path: Path) -> dict[str, Any]:
         return _result(path)
     if path.suffix.lower() == ".mcap":
         return _recording(path)
+    from gelform.batch.containers import is_container
     from gelform.calibration.presses.folder import TAXIM, VIDEO, kind_of_presses
+    from gelform.calibration.presses.press_set import table_rows
+    from gelform.sensors.files import images_of_stack, is_stack, read_toml
+    from gelform.sensors.pictures import IMAGE_SUFFIXES
 
+    if is_container(path):
+        return _data_set(path)
+    if path.suffix.lower() == ".csv":
+        rows = [row for _, row in table_rows(path, ())]
+        return {"kind": "table", "columns": list(rows[0]) if rows else [], "rows": len(rows)}
+    if path.suffix.lower() == ".toml":
+        return {
+            "kind": "settings",
+            **{f"[{name}]": value for name, value in read_toml(path, "settings").items()},
+        }
     layout = kind_of_presses(path)
     if layout == VIDEO:
         return _video(path)
@@ -195,14 +211,28 @@ def _file(path: Path) -> dict[str, Any]:
         raise DataError(
             f"{path} is neither a calibration nor a result of gelform's, or it is damaged.{way_for(path)}"
         )
-    from gelform.sensors.files import images_of_stack, is_stack
-
     if is_stack(path):
         one, count = images_of_stack(path)
         return {"kind": "file of several images", "size_px": list(one(0).shape[:2]), "frames": count}
-    image = gelform.read_image(path)
+    try:
+        image = gelform.read_image(path)
+    except DataError as problem:
+        if path.suffix.lower() in ("", ".npy", *IMAGE_SUFFIXES):
+            raise
+        raise DataError(
+            f"Expected a calibration, result, image, video, recording, data set or table (.csv), got {path}, which is "
+            f"none of them.{way_for(path)}"
+        ) from problem
     levels = [round(float(level), 1) for level in image.mean(axis=(0, 1))]
     return {"kind": "image", "size_px": list(image.shape[:2]), "mean_rgb": levels}
+
+
+def _data_set(path: Path) -> dict[str, Any]:
+    """The datasets of frames in an HDF5 file or a Zarr store, or the cameras of a LeRobot data set."""
+    from gelform.batch.containers import frames_inside, is_lerobot_set, is_zarr
+
+    kind = "LeRobot data set" if is_lerobot_set(path) else "Zarr store" if is_zarr(path) else "HDF5 file"
+    return {"kind": kind, "frames": frames_inside(path) or "no dataset of frames (N, H, W, 3)"}
 
 
 def _recording(path: Path) -> dict[str, Any]:
@@ -278,6 +308,7 @@ def _video(path: Path) -> dict[str, Any]:
 
 def _folder(path: Path) -> dict[str, Any]:
     """The facts of a bag or presses; for any other folder, the files that would make it a press folder."""
+    from gelform.batch.containers import is_container, is_lerobot_set
     from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses, rows_by_folder
     from gelform.sensors.files import likely_background
     from gelform.sensors.mcap import is_bag_folder
@@ -285,6 +316,8 @@ def _folder(path: Path) -> dict[str, Any]:
 
     if is_bag_folder(path):
         return _bag(path)
+    if is_container(path) or is_lerobot_set(path):
+        return _data_set(path)
     layout = kind_of_presses(path)
     if layout not in (PRESS_FOLDER, PLAIN):
         return _presses(path, layout)
@@ -374,7 +407,7 @@ def _calibration_lines(facts: Facts) -> Lines:
         *_made_from(facts),
         ("held out", ", ".join(known) or "no errors on held-out presses are known"),
         ("slope noise", noise),
-        ("force", force and f"{force['loads']} loads up to {force['range'][1]:.3g} N"),
+        ("force", force and f"{counted(force['loads'], 'load')} up to {force['range'][1]:.3g} N"),
         ("made", f"{facts['created_utc']}, by gelform {facts['library_version']}"),
         ("digest", facts["digest"]),
     ]
@@ -385,7 +418,10 @@ def _made_from(facts: Facts) -> Lines:
     starter = facts["settings"].get("starter")
     if starter is None:
         presses = facts["training_presses"]
-        return [("made from", f"{presses} presses" if presses else "no presses: imported"), *_doubts(facts)]
+        return [
+            ("made from", counted(presses, "press") if presses else "no presses: imported"),
+            *_doubts(facts),
+        ]
     return [
         (
             "starter",
@@ -410,12 +446,14 @@ def _result_lines(facts: Facts) -> Lines:
     deepest = "at least " if facts["at_least"] else ""
     low_to_high = "unknown" if depth is None else f"{depth[0]:.3f} to {deepest}{depth[1]:.3f} {unit}"
     pixels = facts["size_px"][0] * facts["size_px"][1]
-    largest = facts["contacts"][:8]  # --json gives all
+    largest = facts["contacts"][:8]
+    more = len(facts["contacts"]) - len(largest)
     return [
         ("image", f"{_size(facts['size_px'])}, {_scale(facts)}"),
         ("depth", f"{low_to_high}, 0 at rest, zero by: {facts['zero']}"),
         ("contact", f"{facts['contact_px']} of {pixels} px"),
         *[(f"contact {k + 1}", _contact(contact)) for k, contact in enumerate(largest)],
+        ("contacts", more and f"{counted(more, 'smaller one')} more (--json gives all)"),
         ("roughness", roughness and ROUGHNESS.format(**roughness)),
         ("markers", markers and markers["in_words"]),
         ("known", f"{100 * facts['known_px'] / pixels:.0f} % of the pixels; the others are filled"),

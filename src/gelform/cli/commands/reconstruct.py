@@ -19,10 +19,19 @@ from typer import BadParameter, Option
 
 import gelform
 from gelform.cli import options
-from gelform.cli.console import MISTAKE, ShownOption, check_pictures, figure, one_line, say, status_of
+from gelform.cli.console import (
+    LINE_EVERY_S,
+    MISTAKE,
+    ShownOption,
+    check_pictures,
+    figure,
+    one_line,
+    say,
+    status_of,
+)
 from gelform.cli.files import Inputs, check_results, make_folder, named, result_paths, save_by_name
 from gelform.cli.options import argument, one_of, option, usage_errors
-from gelform.errors import FrameTally, GelformError, reason
+from gelform.errors import FrameTally, GelformError, counted, reason
 from gelform.result.maps import KEPT_MAPS
 
 if TYPE_CHECKING:
@@ -62,7 +71,7 @@ def reconstruct(
     confidence, contact, known and mm_per_px. With --format npz,png a picture is added. An image that cannot be read or
     belongs to another sensor is reported. The other images are still done, and the exit status is 1. Of a folder, every
     image in it and below it is done. A video, a recording, a TIFF of several pages or an array of frames (.npy, RGB) is done
-    as by gelform batch --keep all. If the depth of most
+    as by gelform batch --keep all; what --format names besides npz is in DIR/png/ ... If the depth of most
     images is doubtful, the exit status is 3.
 
     Without -c, the serial number in the images' sensor.toml or recording selects the newest calibration of that
@@ -84,9 +93,15 @@ def reconstruct(
         raise BadParameter(expected, param_hint="--format")
     images, film = given.images_or_film(inputs, dataset)
     if film is not None:
-        if wanted != ["npz"] or strict or skip_existing:
-            only = "of a video or a recording, results are npz, and a run continues by itself."
-            raise BadParameter(only, param_hint="--format, --strict, --skip-existing")
+        if strict or skip_existing:
+            option, instead = (
+                ("--strict", "exit status 3 tells of doubt")
+                if strict
+                else ("--skip-existing", "it continues")
+            )
+            raise BadParameter(f"is for images. Leave it out for {film}: {instead}.", param_hint=option)
+        if "png" in wanted:
+            check_pictures()
         try:
             batch(
                 source=str(inputs[0]),
@@ -98,6 +113,9 @@ def reconstruct(
                 accept_doubtful=accept_doubtful,
                 shown=shown,
             )
+        except typer.Exit:
+            _export_frames(output, [form for form in wanted if form != "npz"], shown)
+            raise
         finally:
             if view and (output / SHEET).exists():
                 _open(output / SHEET, shown)
@@ -143,7 +161,9 @@ def reconstruct(
     _report(rows, shown)
     if len(images) > len(rows) and len(images) > 1:
         skipped = len(images) - len(todo)
-        shown.say(f"{len(rows)} of {len(images)} images done, {skipped} skipped, {len(failed)} failed.")
+        shown.say(
+            f"{len(rows)} of {counted(len(images), 'image')} done, {skipped} skipped, {len(failed)} failed."
+        )
     if tiles:
         from gelform.batch.run import contact_sheet
         from gelform.foundations.files import written_file
@@ -151,19 +171,36 @@ def reconstruct(
         with written_file(sheet[0], overwrite=overwrite) as file:
             file.write(contact_sheet(tiles, pitch, unit))
     if view and rows:
-        _open(sheet[0] if sheet else paths[0]["png"], shown)
+        shows = (
+            f", which shows {len(tiles)} of {len(rows)} images" if len(tiles) < len(rows) and sheet else ""
+        )
+        _open(sheet[0] if sheet else paths[0]["png"], shown, shows)
     shown.json({"results": rows, "failed": failed})
     if failed or (strict and any(row["findings"] for row in rows)):
         raise typer.Exit(MISTAKE)
     raise typer.Exit(status_of(tally, accept_doubtful=accept_doubtful, quiet=True))
 
 
-def _open(picture: Path, shown: ShownOption) -> None:
-    shown.say(f"Look at {picture}.")
+def _open(picture: Path, shown: ShownOption, shows: str = "") -> None:
+    shown.say(f"Look at {picture}{shows}.")
     webbrowser.open(picture.resolve().as_uri())
 
 
-def _write(result: gelform.Reconstruction, image: Image, results: dict[str, Path], overwrite: bool) -> None:
+def _export_frames(output: Path, forms: Sequence[str], shown: ShownOption) -> None:
+    """Write the results of a batch in other forms, below a folder of each form's name."""
+    frames = output / "frames"
+    files = sorted(path for path in frames.rglob("*.npz") if not path.name.startswith(".")) if forms else []
+    with shown.progress() as progress:
+        for done, path in enumerate(files):
+            progress(done, len(files), f"writing {', '.join(forms)}")
+            below = path.relative_to(frames)
+            results = {form: output / form / below.with_suffix(f".{form}") for form in forms}
+            _write(gelform.load_result(path), None, results, overwrite=True)
+
+
+def _write(
+    result: gelform.Reconstruction, image: Image | None, results: dict[str, Path], overwrite: bool
+) -> None:
     from gelform.exchange.plots import save_picture
 
     for form, path in results.items():
@@ -196,7 +233,7 @@ def _report(rows: Sequence[dict[str, Any]], shown: ShownOption) -> None:
     found = [finding for row in rows for finding in row["findings"]]
     first = {finding["name"]: finding["message"] for finding in reversed(found)}
     for name, count in Counter(finding["name"] for finding in found).items():
-        say(f"warning ({count} of {len(rows)} images): {first[name]}")
+        say(f"warning ({count} of {counted(len(rows), 'image')}): {first[name]}")
     scaled = all("peak_mm" in row for row in rows)
     lengths = {"peak_mm": "peak (mm)", "contact_mm2": "contact (mm²)"}
     columns = lengths if scaled else {"peak_px": "peak (px)", "contact_px": "contact (px)"}
@@ -346,7 +383,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[BatchSummary], None]]:
         nonlocal last, before
         now = time.monotonic()
         before = summary.parts_done - 1 if before < 0 else before
-        if quiet or now - last < (0.2 if on_screen else 30):  # s between lines, which a file keeps
+        if quiet or now - last < (0.2 if on_screen else LINE_EVERY_S):  # s between lines, which a file keeps
             return
         last = now
         line = _line(summary, now - begin, summary.parts_done - before)
@@ -361,7 +398,7 @@ def _line(summary: BatchSummary, seconds: float, parts: int) -> str:
     """Parts, rate, time left, errors so far."""
     left = timedelta(seconds=round((summary.parts - summary.parts_done) * seconds / parts))
     rate_hz = summary.frames / max(seconds, 1e-9)
-    done = f"{summary.parts_done} of {summary.parts} parts, {rate_hz:.1f} frames/s"
+    done = f"{summary.parts_done} of {counted(summary.parts, 'part')}, {rate_hz:.1f} frames/s"
     return f"{done}, {left} left, {summary.errors} with errors"
 
 
@@ -369,7 +406,7 @@ def _report_batch(summary: BatchSummary, output: Path, max_errors: int, quiet: b
     for warning in summary.warnings:
         say(f"gelform: warning: {warning}")
     before = f", {summary.frames_before} from earlier runs" if summary.frames_before else ""
-    say(f"{summary.frames} frames done{before}; {summary.errors} with errors.", quiet)
+    say(f"{counted(summary.frames, 'frame')} done{before}; {summary.errors} with errors.", quiet)
     if summary.stopped:
         say(
             f"gelform: error: {summary.errors} frames have errors, more than --max-errors {max_errors} allows. The "
@@ -377,7 +414,9 @@ def _report_batch(summary: BatchSummary, output: Path, max_errors: int, quiet: b
         )
     elif summary.complete:
         sheet = output / SHEET  # not written where no frame has depth
-        look = f"; look at {sheet}" if sheet.exists() else ""
+        frames = summary.frames + summary.frames_before - summary.errors
+        some = f", which shows {TILES} of {frames}" if frames > TILES else ""
+        look = f"; look at {sheet}{some}" if sheet.exists() else ""
         say(f"Complete: {output / summary.table} has a row for each frame{look}.", quiet)
         if summary.errors:
             say(
@@ -413,6 +452,9 @@ def verify(
         say(f"gelform: error: {one.path}: {one.what}", shown.as_json)
     if more := problems[20:]:
         say(f"{len(more)} more; all with --json.", shown.as_json)
-    say(f"{good} frames are complete, {errors} have an error, {len(problems)} problems.", shown.silent)
+    say(
+        f"complete: {counted(good, 'frame')}; with an error: {errors}; {counted(len(problems), 'problem')}.",
+        shown.silent,
+    )
     if problems:
         raise typer.Exit(MISTAKE)

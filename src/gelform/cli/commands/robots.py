@@ -18,6 +18,7 @@ from gelform.cli import options
 from gelform.cli.console import DOUBT, ShownOption, mistakes_in, say, status_of
 from gelform.cli.files import Inputs, check_output, save_by_name
 from gelform.cli.options import argument, option, usage_errors
+from gelform.errors import counted
 from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, USUAL, check_sensor_name, check_topics
 
 PRIOR = "MM,DEG"
@@ -84,7 +85,9 @@ def bag(
         stats = robots.save_bag(
             source, loaded, output, background=background, bgr=given.bgr, **settings, progress=progress
         )
-    shown.say(f"Wrote {output}: {stats.frames} frames in {stats.duration_s:.1f} s, {stats.drops} dropped.")
+    shown.say(
+        f"Wrote {output}: {counted(stats.frames, 'frame')} in {stats.duration_s:.1f} s, {stats.drops} dropped."
+    )
     if not stats.stamped:
         shown.say("The frames have no capture time, so their stamps begin now.")
     sent.end(stats, settings["topics"], shown, bag=output)
@@ -121,7 +124,9 @@ def ros(
     background = given.background_for(loaded)
     with mistakes_in("ros"), shown.progress() as progress:
         stats = robots.publish(source, loaded, background=background, **settings, progress=progress)
-    shown.say(f"Published {stats.frames} frames in {stats.duration_s:.1f} s, {stats.drops} dropped.")
+    shown.say(
+        f"Published {counted(stats.frames, 'frame')} in {stats.duration_s:.1f} s, {stats.drops} dropped."
+    )
     sent.end(stats, settings["topics"], shown)
 
 
@@ -189,13 +194,14 @@ def track(
         chosen = [k for k in results if poses[k].motion.pose is not None]
         whole = gelform.mosaic([results[k] for k in chosen], [poses[k] for k in chosen])
         save_by_name(whole, surface, overwrite=overwrite)
-        shown.say(f"Wrote {surface}: {len(chosen)} contacts as one surface.")
+        shown.say(f"Wrote {surface}: {counted(len(chosen), 'contact')} as one surface.")
     shown.json(
         {"track": output, "frames": len(poses), "states": dict(states), "lost_by_reason": dict(reasons)}
     )
     if 2 * states[LOST] > len(poses):
         say(
-            f"gelform: error: the object was lost in {states[LOST]} of {len(poses)} frames. See the reasons above, and the "
+            f"gelform: error: the object was lost in {states[LOST]} of {counted(len(poses), 'frame')}. See the "
+            "reasons above, and the "
             "column why of the table."
         )
         raise typer.Exit(DOUBT)

@@ -23,6 +23,7 @@ from gelform import DataError, GelformError
 from gelform.cli import options
 from gelform.cli.console import ShownOption, mistakes_in, print_json, say, show
 from gelform.cli.options import argument, number, option, usage_errors
+from gelform.errors import counted
 from gelform.sensors.profiles import check_gel_width
 
 if TYPE_CHECKING:
@@ -156,7 +157,7 @@ def record(
         Option(
             "--set",
             metavar="NAME=VALUE",
-            help="Camera setting: exposure, gain, white_balance, led_level, width, height, fps, fourcc.",
+            help="Camera setting: exposure, gain, white_balance, led_level, width, height, fps, fourcc. Of simulated: fps.",
         ),
     ] = None,
     bgr: options.Bgr = False,
@@ -185,6 +186,8 @@ def record(
     for name in ("ball_diameter_mm", "sensor", "mm_per_px"):
         if getattr(taken, name) is not None:
             raise BadParameter("is for --presses only.", param_hint=f"--{name.replace('_', '-')}")
+    from gelform.sensors.record import why_missing
+
     digest = "" if calibration is None else gelform.load_calibration(calibration).digest
     stats, grabbed = _recorded(opened, output, seconds, frames, digest, shown)
     reopened = grabbed.reopened
@@ -193,29 +196,12 @@ def record(
     missing = f", {stats.missing} missing" if stats.missing else ""
     again = f", the source was lost and reopened {reopened} times" if reopened else ""
     shown.say(
-        f"Wrote {output}: {stats.frames} frames in {stats.duration_s:.1f} s{missing}{again}, "
+        f"Wrote {output}: {counted(stats.frames, 'frame')} in {stats.duration_s:.1f} s{missing}{again}, "
         f"{stats.written_bytes / 1e6:.1f} MB."
     )
     if stats.missing:
-        shown.say(why_missing(stats, grabbed))
+        shown.say(f"{'warning: ' if stats.has_gaps else ''}{why_missing(stats, grabbed.drops)}")
     shown.json({"recording": output, **vars(stats), "reopened": reopened, "lost_on_the_way": grabbed.drops})
-
-
-def why_missing(stats: RecordStats, grabbed: GrabberStats) -> str:
-    """Why frames of a recording are missing, and the rate that was kept; a warning over 5 %."""
-    all_of, rate_hz = stats.frames + stats.missing, (stats.frames - 1) / max(stats.duration_s, 1e-9)
-    lost = min(grabbed.drops, stats.missing)
-    reasons = {
-        "lost before gelform got them (cable, hub, or a machine that is slower than the source)": lost,
-        "not written, because this machine or its disk was too slow": stats.missing - lost,
-    }
-    said = " and ".join(f"{count} {why}" for why, count in reasons.items() if count)
-    share = stats.missing / all_of
-    level = "warning: " if share > 0.05 else ""
-    return (
-        f"{level}{stats.missing} of {all_of} frames ({100 * share:.2g} %) are missing: {said}. {rate_hz:.3g} frames a "
-        "second were kept; a lower rate or a smaller picture loses fewer (USB cameras: --set fps=..., --set width=...)."
-    )
 
 
 def _recorded(
@@ -279,7 +265,7 @@ def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: ShownOption
         raise DataError(
             f"No press was taken, so {output} is no press folder. Start again with another folder."
         )
-    shown.say(f"Wrote {output}: {taken.count} presses. Next: gelform calibrate {output} -o cal.npz")
+    shown.say(f"Wrote {output}: {counted(taken.count, 'press')}. Next: gelform calibrate {output} -o cal.npz")
     shown.json({"folder": output, "presses": taken.count, "ball_diameter_mm": wanted.ball_diameter_mm})
 
 
