@@ -25,6 +25,7 @@ class Topic:
 
 TOPICS = {
     "image": Topic("image_raw", "sensor_msgs/msg/Image"),
+    "compressed": Topic("image_raw/compressed", "sensor_msgs/msg/CompressedImage", usual=False),
     "indentation": Topic("indentation", "sensor_msgs/msg/Image"),
     "points": Topic("points", "sensor_msgs/msg/PointCloud2"),
     "wrench": Topic("wrench", "geometry_msgs/msg/WrenchStamped"),
