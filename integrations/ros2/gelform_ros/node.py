@@ -12,6 +12,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
 from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -79,17 +80,17 @@ class GelformNode(Node):
         rest = None
         if background:
             rest = gelform.image_from_frame(read_background(Path(background)), loaded.view)
-        self._stream = gelform.stream(
-            lambda: gelform.open_source(self._source, paced=True), loaded, background=rest
-        )
-        self.frames, self.status = 0, 0
-        self._stop, self.ended = Event(), Future()
         self._to = {
             topic: self.create_publisher(
                 TYPES[TOPICS[topic].type], TOPICS[topic].of(self._messages.sensor), QUEUE
             )
             for topic in self._messages.topics
         }
+        self._stream = gelform.stream(
+            lambda: gelform.open_source(self._source, paced=True), loaded, background=rest
+        )
+        self.frames, self.status = 0, 0
+        self._stop, self.ended = Event(), Future()
         self.create_service(Trigger, "~/take_background", self._take_background)
         self.create_service(Trigger, "~/reset_pose", self._reset_pose)
         self._thread = Thread(target=self._publish_all, daemon=True)
@@ -147,6 +148,8 @@ class GelformNode(Node):
             if one is None:
                 stats = self._stream.stats
                 if stats.state in ("ended", "closed"):
+                    for publisher in self._to.values():
+                        publisher.wait_for_all_acked(Duration(seconds=SILENT_S))
                     return
                 if "diagnostics" in self._to:
                     why = stats.reason or "no frame came"
