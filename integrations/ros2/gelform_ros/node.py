@@ -38,7 +38,8 @@ TYPES = {
 QUEUE = 10
 SILENT_S = 1.0  # without a frame, until diagnostics say so; they repeat as often
 BACKGROUND_S = 3.0  # longest wait for the second of frames that makes a background
-RCLError = rclpy_implementation.RCLError
+OF_ROS = (rclpy_implementation.RCLError, rclpy_implementation.InvalidHandle)
+LOG = "gelform_ros"  # not the node's own, which needs the context to the end
 MISTAKES = (gelform.GelformError, ValueError, TypeError, ParameterException)
 
 
@@ -125,20 +126,17 @@ class GelformNode(Node):
         return answer
 
     def _send(self, topic: str, message: memoryview) -> None:
-        try:
-            self._to[topic].publish(bytes(message))  # rclpy publishes bytes as they are: CDR
-        except RCLError:
-            if self.context.ok():
-                raise
-            self._stop.set()  # Ctrl-C, or a shutdown from outside, between two messages
+        self._to[topic].publish(bytes(message))  # rclpy publishes bytes as they are: CDR
 
     def _publish_all(self) -> None:
         """Publish until the end; then the node ends too, with the status 1 after an error."""
         try:
             self._publish_results()
-        except (*MISTAKES, RCLError) as problem:
-            self.status = 1
-            self.get_logger().fatal(f"{self._source}: {one_line(problem)}")
+        except (*MISTAKES, *OF_ROS) as problem:
+            # After Ctrl-C or a shutdown from outside, between two messages, nothing can be published.
+            if self.context.ok() or not isinstance(problem, OF_ROS):
+                self.status = 1
+                get_logger(LOG).fatal(f"{self._source}: {one_line(problem)}")
         self.ended.set_result(self.status)
 
     def _publish_results(self) -> None:
@@ -147,7 +145,9 @@ class GelformNode(Node):
             one = self._stream.newest(index, SILENT_S)
             if one is None:
                 stats = self._stream.stats
-                if stats.state in ("ended", "closed"):
+                if stats.state == "closed":
+                    return
+                if stats.state == "ended":
                     for publisher in self._to.values():
                         publisher.wait_for_all_acked(Duration(seconds=SILENT_S))
                     return
@@ -177,10 +177,10 @@ def one_line(problem: object) -> str:
 
 def run(arguments: Any = None) -> int:
     """Run the node until it is interrupted or its source ends; 1 after an error, which is logged as one line."""
-    log, node = get_logger("gelform_ros"), None  # not the node's own, which needs the context to the end
+    log, node = get_logger(LOG), None
     try:
         rclpy.init(args=arguments)
-    except RCLError as problem:
+    except OF_ROS as problem:
         log.fatal(one_line(problem))
         return 1
     try:
@@ -188,7 +188,7 @@ def run(arguments: Any = None) -> int:
         rclpy.spin_until_future_complete(node, node.ended)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except (*MISTAKES, RCLError) as problem:
+    except (*MISTAKES, *OF_ROS) as problem:
         if rclpy.ok():  # else it is shut down, and that is why
             log.fatal(one_line(problem))
             rclpy.try_shutdown()
@@ -206,3 +206,7 @@ def run(arguments: Any = None) -> int:
 def main(arguments: Any = None) -> None:
     """Run the node, and end with its status."""
     raise SystemExit(run(arguments))
+
+
+if __name__ == "__main__":
+    main()
