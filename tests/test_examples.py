@@ -11,8 +11,6 @@ import subprocess
 import sys
 import textwrap
 from pathlib import Path
-from types import SimpleNamespace
-from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -20,8 +18,6 @@ import pytest
 import gelform
 from gelform.calibration.selection import candidates_for, color_model_names
 from gelform.slopes import color_models
-from live_waiting import until
-from made import small_gel
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 QUICK = ("01_photometric_stereo", "02_why_least_squares")  # calibrate nothing

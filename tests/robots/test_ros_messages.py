@@ -41,7 +41,8 @@ def test_a_name_is_made_of_any_text_and_what_ros_refuses_is_refused():
 def test_topics_have_whole_names_and_come_in_the_tables_order():
     names = " ".join(topic.of("left") for topic in TOPICS.values())
     assert names == (
-        "/left/image_raw /left/image_raw/compressed /left/indentation /left/points /left/wrench /diagnostics /left/object_pose"
+        "/left/image_raw /left/image_raw/compressed /left/indentation /left/points /left/wrench /diagnostics "
+        "/left/object_pose"
     )
     assert all(re.fullmatch(r"\w+_msgs/msg/\w+", topic.type) for topic in TOPICS.values())
     assert check_topics(["points", "image", "points"]) == ("image", "points")
