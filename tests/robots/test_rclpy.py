@@ -396,3 +396,28 @@ def test_the_launch_file_gives_parameters_that_the_node_has():
         assert set(given) == {"source", "calibration", "name"}
         assert all(f'"{name}"' in declared for name in given)
         assert given["name"] + "_gel_optical_frame" in nodes[f"{side}_gel"].get("args")
+
+
+COMMAND = "from gelform.cli import main; main()"
+
+
+def test_the_command_publishes_by_rclpy_and_ends_by_ctrl_c(listener, calibration):
+    depths = listener.hear("/left/indentation", Image)
+    with camera_of(small_gel.Touch()) as camera:
+        words = ["ros", camera.url, "-c", str(calibration), "--name", "left", "--accept-doubtful"]
+        paths = os.pathsep.join(filter(None, sys.path))
+        command = subprocess.Popen(
+            [sys.executable, "-c", COMMAND, *words],
+            env={**os.environ, "PYTHONPATH": paths},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        try:
+            listener.until(lambda: len(depths) > 3)
+        finally:
+            lines, status = ended(command)
+    assert status == 0, lines
+    assert any("Published" in line for line in lines), lines
+    assert not any("Traceback" in line for line in lines), lines
+    assert 3e-4 < np.nanmax(floats(depths[-1], -1)) < 5e-4

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 ROUTER = "tcp/localhost:7447"  # of zenoh; sessions of rmw_zenoh search there
+MIDDLEWARES = ("auto", "rclpy", "zenoh")
 MAX_DOMAIN = 232  # largest ROS_DOMAIN_ID of ROS 2
 
 
