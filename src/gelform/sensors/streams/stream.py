@@ -451,13 +451,15 @@ class Stream:
             return ()
         deadline = time.monotonic() + timeout_s
         while self._memory.background_request[0]:
-            if time.monotonic() > deadline:
+            left_s = deadline - time.monotonic()
+            if left_s <= 0:
                 stats = self.stats
                 raise StaleError(
                     f"Expected a second of frames within {timeout_s:g} s. "
                     f"The stream is {stats.state}{f': {stats.reason}' if stats.reason else '.'}"
                 )
-            time.sleep(0.02)  # s between looks
+            with (changed := self._pipeline.results.changed):  # each frame brings it nearer
+                changed.wait(left_s)
         return self._memory.background_request[1]
 
     @property
