@@ -3,8 +3,6 @@
 docs/adding-a-color-model.md, followed word for word.
 
 The camera for LeRobot reports versions that are too old; runs with any Python and LeRobot.
-
-The node of ROS 2 publishes results; stand-ins take the place of ROS.
 """
 
 import importlib.util
@@ -13,8 +11,6 @@ import subprocess
 import sys
 import textwrap
 from pathlib import Path
-from types import SimpleNamespace
-from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -22,8 +18,6 @@ import pytest
 import gelform
 from gelform.calibration.selection import candidates_for, color_model_names
 from gelform.slopes import color_models
-from live_waiting import until
-from made import small_gel
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 QUICK = ("01_photometric_stereo", "02_why_least_squares")  # calibrate nothing
@@ -151,38 +145,3 @@ def test_importing_it_here_works_or_says_what_to_do():
     env = {"PYTHONPATH": str(CAMERA), "PATH": ""}
     ran = subprocess.run(command, capture_output=True, text=True, env=env)
     assert ran.returncode == 0 or "ImportError: Expected " in ran.stderr
-
-
-@WITH_INTEGRATIONS
-def test_the_node_of_ros_publishes_each_result_and_says_why_it_ends(tmp_path, monkeypatch):
-    pytest.importorskip("rosbags", reason="the extra ros is not installed")
-    small_gel.calibration().save(tmp_path / "cal.npz")
-    for k in range(3):
-        small_gel.save(tmp_path / "right" / f"{k}.png", small_gel.image_of(small_gel.Touch(seed=k)))
-    small_gel.save(tmp_path / "wrong" / "0.png", np.zeros((10, 20, 3), np.uint8))
-    given, sent, said = {"calibration": str(tmp_path / "cal.npz"), "name": "left"}, [], []
-
-    class Node:
-        def __init__(self, name):
-            self.get_logger = lambda: SimpleNamespace(fatal=said.append)
-            self.destroy_node = lambda: None
-
-        def declare_parameter(self, name, default):
-            value = SimpleNamespace(string_value=given.get(name, default))
-            return SimpleNamespace(get_parameter_value=lambda: value)
-
-        def create_publisher(self, kind, topic, queue):
-            return SimpleNamespace(publish=lambda message: sent.append((topic, type(message))))
-
-    for name in ("rclpy", "diagnostic_msgs.msg", "geometry_msgs.msg", "sensor_msgs.msg"):
-        monkeypatch.setitem(sys.modules, name, MagicMock())
-    monkeypatch.setitem(sys.modules, "rclpy.node", SimpleNamespace(Node=Node))
-    made = module_at(INTEGRATIONS / "ros2/gelform_ros/node.py")
-    for source, topics in (("right", "points,image"), ("wrong", "image")):
-        given.update(source=str(tmp_path / source), topics=topics)
-        node = made.GelformNode()
-        until(lambda: len(sent) == 6)
-        until(lambda source=source: len(said) == (source == "wrong"))
-        node.destroy_node()
-    assert sent == 3 * [("/left/image_raw", bytes), ("/left/points", bytes)]
-    assert "Expected frames of 64x80 px" in said[0]

@@ -7,6 +7,7 @@ import re
 import sys
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -41,13 +42,14 @@ def test_a_name_is_made_of_any_text_and_what_ros_refuses_is_refused():
 def test_topics_have_whole_names_and_come_in_the_tables_order():
     names = " ".join(topic.of("left") for topic in TOPICS.values())
     assert names == (
-        "/left/image_raw /left/indentation /left/points /left/wrench /diagnostics /left/object_pose"
+        "/left/image_raw /left/image_raw/compressed /left/indentation /left/points /left/wrench /diagnostics "
+        "/left/object_pose"
     )
     assert all(re.fullmatch(r"\w+_msgs/msg/\w+", topic.type) for topic in TOPICS.values())
     assert check_topics(["points", "image", "points"]) == ("image", "points")
     assert check_topics("points") == ("points",)
     for wrong in ([], ["depth"], ["image", "camera_info"]):
-        with pytest.raises(ValueError, match="Expected topics among image, indentation"):
+        with pytest.raises(ValueError, match="Expected topics among image, compressed, indentation"):
             check_topics(wrong)
 
 
@@ -111,6 +113,34 @@ MODEL = ForceModel(
 )  # fmt: skip
 
 
+def test_silence_is_an_error_and_the_next_frame_is_told_at_once(result):
+    pytest.importorskip("rosbags", reason="the extra ros is not installed")
+    told, torn = RosMessages("left", topics=["diagnostics"]), (Finding("torn", "Torn.", 0.5),)
+
+    def count(of, **how):
+        return len(list(told.due(FRAME, of, STAMP_NS, **how)))
+
+    assert [count(result), count(result), count(replace(result, health=torn))] == [1, 0, 1]
+    assert count(result, each_change=False) == 0
+    kind = "diagnostic_msgs/msg/DiagnosticArray"
+    status = decoded(told, told.silence("reconnecting", "unplugged", STAMP_NS), kind).status[0]
+    assert (status.level, status.message) == (2, "no_frame")
+    assert status.values[0].value == "reconnecting: unplugged"
+    assert count(result, each_change=False) == 1
+
+
+def test_compressed_is_the_camera_s_jpeg_or_the_pixels_without_loss(made, result):
+    kind = "sensor_msgs/msg/CompressedImage"
+    own = decoded(
+        made, made.compressed(replace(FRAME, encoded=b"jpeg of the camera"), result, STAMP_NS), kind
+    )
+    assert (own.format, own.data.tobytes()) == ("jpeg", b"jpeg of the camera")
+    assert own.header.frame_id == "left_camera_optical_frame"
+    plain = decoded(made, made.compressed(FRAME, result, STAMP_NS), kind)
+    assert plain.format == "png"
+    np.testing.assert_array_equal(cv2.imdecode(plain.data, cv2.IMREAD_COLOR)[..., ::-1], FRAME.image)
+
+
 def test_a_wrench_by_hand(made, result):
     """What presses into the gel pushes toward the camera; what is not known is NaN, and the diagnostics say why."""
     rest = (np.array(MODEL.rest_mm) / (0.5, 0.25)).astype(np.float32)
@@ -170,6 +200,9 @@ def test_the_pose_of_the_object_in_the_optical_frame(made):
     np.testing.assert_allclose(covariance, covariance.T)
     assert (np.linalg.eigvalsh(covariance) > 0).all()
     assert 1e-6 < np.sqrt(covariance[0, 0]) < 1e-4
+    fresh.reset_pose()
+    at = decoded(made, fresh.pose(FRAME, contacts[2], STAMP_NS), kind).pose.pose.position
+    assert (at.x, at.y, at.z) == (0, 0, 0), "this contact is the origin now"
 
 
 def test_the_covariance_is_moved_to_the_position():

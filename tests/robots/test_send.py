@@ -180,6 +180,14 @@ def test_what_cannot_be_published_is_said(router, recording, calibration, tmp_pa
         publish(tmp_path / "missing.mp4", calibration, router=router.address)
 
 
+def test_without_rclpy_it_is_named_and_another_middleware_is_refused(recording, calibration, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    with pytest.raises(DataError, match=r"needs rclpy\. Run it where ROS 2 is set up"):
+        publish(recording, calibration, middleware="rclpy")
+    with pytest.raises(ValueError, match="Expected a middleware among auto, rclpy, zenoh, got 'dds'"):
+        publish(recording, calibration, middleware="dds")
+
+
 IMAGE = "sensor_msgs/msg/Image"
 HASH = "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47"
 

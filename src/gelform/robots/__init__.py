@@ -1,4 +1,4 @@
-"""Results for robot software: ROS 2 bags (extra `ros`), live ROS 2 topics (`zenoh`), depth for LeRobot's video."""
+"""Results for robot software: ROS 2 bags (extra `ros`), live ROS 2 topics (rclpy, zenoh), depth for LeRobot's video."""
 
 import lazy_loader
 
@@ -7,6 +7,6 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     submod_attrs={
         "lerobot_depth": ["depth_from_lerobot_levels", "lerobot_levels_from_depth"],
         "ros_messages": ["TOPICS"],
-        "send": ["BagFile", "SentStats", "ZenohNode", "publish", "save_bag"],
+        "send": ["BagFile", "RclpyNode", "SentStats", "ZenohNode", "publish", "save_bag"],
     },
 )

@@ -19,6 +19,7 @@ from gelform.motion.between import about_other_center
 from gelform.motion.track import Follower
 from gelform.robots.topics import TOPICS, USUAL, check_sensor_name, check_topics
 from gelform.sensors.mcap import header_of, typestore
+from gelform.sensors.playback import encoded_from_frame
 
 
 def indentation_m(result: Reconstruction) -> NDArray[np.float32]:
@@ -43,15 +44,22 @@ class RosMessages:
         self._said: tuple[tuple[str, ...] | None, int] = (None, 0)
         self._follow = Follower()
 
-    def due(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> Iterator[tuple[str, memoryview]]:
+    def due(
+        self, frame: Frame, result: Reconstruction, stamp_ns: int, *, each_change: bool = True
+    ) -> Iterator[tuple[str, memoryview]]:
         """(topic, message) pairs of a frame taken at UTC ns.
 
-        Diagnostics come once a second, as ROS's own do, and when the findings change.
+        Diagnostics come once a second, as ROS's own do, and with `each_change` when the findings change, which takes the
+        time to find them in each frame.
         """
         for name in self.topics:
             if name == "diagnostics":
-                names, (before, said_ns) = tuple(finding.name for finding in result.health), self._said
-                if before == names and abs(stamp_ns - said_ns) < 10**9:
+                before, said_ns = self._said
+                recent = abs(stamp_ns - said_ns) < 10**9
+                if recent and not each_change:
+                    continue
+                names = tuple(finding.name for finding in result.health)
+                if recent and before == names:
                     continue
                 self._said = (names, stamp_ns)
             message = getattr(self, name)(frame, result, stamp_ns)
@@ -61,6 +69,12 @@ class RosMessages:
     def image(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
         """The frame from the camera: sensor_msgs/Image, rgb8."""
         return self._image("image", frame.image, "rgb8", stamp_ns, self.camera_frame)
+
+    def compressed(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
+        """The camera's own JPEG, else the frame as PNG: sensor_msgs/CompressedImage."""
+        form, content = encoded_from_frame(frame)
+        data = np.frombuffer(content, np.uint8)
+        return self._message("compressed", stamp_ns, self.camera_frame, format=form, data=data)
 
     def indentation(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
         """Depth in meters, positive where pressed, NaN where unknown: sensor_msgs/Image, 32FC1."""
@@ -100,16 +114,30 @@ class RosMessages:
 
         The level is OK (0) without findings, WARN (1) with findings, ERROR (2) if depth is known in no pixel.
         """
-        findings, pair = result.health, self._type("diagnostic_msgs/msg/KeyValue")
-        values = [pair(key=one.name, value=f"{one.figure:g}: {one.message}") for one in findings]
+        findings = result.health
+        values = {one.name: f"{one.figure:g}: {one.message}" for one in findings}
         if result.force_model is not None and (why := result.force.reason):
-            values.append(pair(key="no_force", value=why))
+            values["no_force"] = why
+        level = (1 if result.known.any() else 2) if findings else 0
+        return self._status(level, ", ".join(finding.name for finding in findings) or "OK", values, stamp_ns)
+
+    def silence(self, state: str, reason: str, stamp_ns: int) -> memoryview:
+        """Diagnostics of the level ERROR while no frame comes: the state of the stream, and why."""
+        self._said = (None, 0)  # the next frame's come at once
+        return self._status(2, "no_frame", {"no_frame": f"{state}: {reason}"}, stamp_ns)
+
+    def reset_pose(self) -> None:
+        """Begin the path of the pose again: the next contact is its origin."""
+        self._follow = Follower()
+
+    def _status(self, level: int, message: str, values: dict[str, str], stamp_ns: int) -> memoryview:
+        pair = self._type("diagnostic_msgs/msg/KeyValue")
         status = self._type("diagnostic_msgs/msg/DiagnosticStatus")(
-            level=(1 if result.known.any() else 2) if findings else 0,
+            level=level,
             name=f"gelform: {self.sensor}",
-            message=", ".join(finding.name for finding in findings) or "OK",
+            message=message,
             hardware_id=self.hardware_id,
-            values=values,
+            values=[pair(key=key, value=value) for key, value in values.items()],
         )
         return self._message("diagnostics", stamp_ns, "", status=[status])
 

@@ -1,4 +1,4 @@
-"""Results of a source for ROS 2: into a bag, complete or not at all, or live over zenoh (experimental).
+"""Results of a source for ROS 2: into a bag, complete or not at all, or live by rclpy or over zenoh (experimental).
 
 The names of topics and publishers in zenoh are as in rmw_zenoh of Jazzy and later. Source: the design document of rmw_zenoh
 (https://github.com/ros2/rmw_zenoh, docs/design.md) and its liveliness tokens. Humble omits type hashes, so its nodes do not
@@ -15,6 +15,8 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from hashlib import blake2b
+from importlib import import_module
+from importlib.util import find_spec
 from itertools import count
 from os import PathLike
 from typing import Any
@@ -29,6 +31,7 @@ from gelform.foundations.checks import check_path, check_positive
 from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import (
     MAX_DOMAIN,
+    MIDDLEWARES,
     NEEDS_SCALE,
     ROUTER,
     TOPICS,
@@ -243,6 +246,52 @@ class ZenohNode:
         self.close()
 
 
+class RclpyNode:
+    """Publishes frames and results as ROS 2 topics by rclpy, with any of its middlewares; a context manager.
+
+    Raises
+    ------
+    DataError
+        rclpy, a message package or the extra `ros` is not installed.
+    ValueError
+        The sensor is no ROS name, or a topic is unknown.
+    """
+
+    def __init__(
+        self, sensor: str, *, topics: tuple[str, ...] = USUAL, domain: int = 0, hardware_id: str = ""
+    ) -> None:
+        self._messages = RosMessages(sensor, hardware_id, topics)
+        kinds = {name: TOPICS[name].type.split("/msg/") for name in self._messages.topics}
+        try:
+            import rclpy
+
+            types = {name: getattr(import_module(f"{of}.msg"), kind) for name, (of, kind) in kinds.items()}
+        except ModuleNotFoundError as problem:
+            raise DataError(
+                f"Publishing by rclpy needs {problem.name}. Run it where ROS 2 is set up, install ROS's Python packages "
+                "(ros-rclpy and those of docs/ros.md), or take --middleware zenoh."
+            ) from problem
+        self._context = rclpy.Context()  # not the default one, so that rclpy leaves Ctrl-C to Python
+        rclpy.init(context=self._context, domain_id=domain)
+        self._node = rclpy.create_node(f"gelform_{sensor}", context=self._context)
+        self._put = {
+            name: self._node.create_publisher(types[name], TOPICS[name].of(sensor), 10).publish
+            for name in types
+        }
+
+    def publish(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> None:
+        """As `ZenohNode.publish`."""
+        for name, message in self._messages.due(frame, result, stamp_ns):
+            self._put[name](bytes(message))  # which rclpy publishes as they are
+
+    def __enter__(self) -> RclpyNode:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+
 def _publisher(session: Any, key: str, gid: bytes) -> Callable[[bytes], None]:
     """The function that publishes messages of one topic, which are numbered."""
     import zenoh
@@ -411,6 +460,7 @@ def publish(
     sensor: str | None = None,
     router: str = ROUTER,
     domain: int = 0,
+    middleware: str = "auto",
     seconds: float | None = None,
     background: ArrayLike | None = None,
     bgr: bool = False,
@@ -418,25 +468,33 @@ def publish(
 ) -> SentStats:
     """Reconstruct the frames of a source, and publish the newest results as ROS 2 topics until it ends.
 
-    Nodes with the middleware rmw_zenoh (Jazzy and later) receive them. Recordings, videos and folders play at their
-    own pace. An interrupt (Ctrl-C) ends it normally; see `save_bag` for the arguments and errors that are not here.
+    By rclpy every node receives them, by zenoh those with the middleware rmw_zenoh (Jazzy and later). Recordings, videos and
+    folders play at their own pace. An interrupt (Ctrl-C) ends it normally; see `save_bag` for the arguments and errors that
+    are not here.
 
     Parameters
     ----------
     router : address of the zenoh router
     domain : the subscribers' ROS_DOMAIN_ID
+    middleware : "rclpy", "zenoh", or "auto": rclpy where it is installed and no other router is named, else zenoh
 
     Raises
     ------
     GelformError
         No router answers.
+    DataError
+        rclpy was asked for, and is not installed.
     ValueError
-        The domain or the address is invalid.
+        The domain, the address or the middleware is invalid.
     """
+    if middleware not in MIDDLEWARES:
+        raise ValueError(f"Expected a middleware among {', '.join(MIDDLEWARES)}, got {middleware!r}.")
+    if middleware == "auto":
+        middleware = "rclpy" if router == ROUTER and find_spec("rclpy") is not None else "zenoh"
     calibration, topics, name = _checked(calibration, topics, sensor, seconds)
-    hardware_id = calibration.serial or ""
+    how: Any = {"topics": topics, "domain": domain, "hardware_id": calibration.serial or ""}
     with (
-        ZenohNode(name, topics=topics, router=router, domain=domain, hardware_id=hardware_id) as node,
+        RclpyNode(name, **how) if middleware == "rclpy" else ZenohNode(name, router=router, **how) as node,
         stream(
             lambda: open_source(source, paced=True, bgr=bgr), calibration, background=background
         ) as running,

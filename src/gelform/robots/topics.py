@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 ROUTER = "tcp/localhost:7447"  # of zenoh; sessions of rmw_zenoh search there
+MIDDLEWARES = ("auto", "rclpy", "zenoh")
 MAX_DOMAIN = 232  # largest ROS_DOMAIN_ID of ROS 2
 
 
@@ -25,6 +26,7 @@ class Topic:
 
 TOPICS = {
     "image": Topic("image_raw", "sensor_msgs/msg/Image"),
+    "compressed": Topic("image_raw/compressed", "sensor_msgs/msg/CompressedImage", usual=False),
     "indentation": Topic("indentation", "sensor_msgs/msg/Image"),
     "points": Topic("points", "sensor_msgs/msg/PointCloud2"),
     "wrench": Topic("wrench", "geometry_msgs/msg/WrenchStamped"),

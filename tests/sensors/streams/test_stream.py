@@ -393,3 +393,20 @@ def test_a_frame_that_is_none_is_named_and_those_before_it_are_there(calibration
         results.extend(stream)
     assert all(np.isfinite(result.depth).all() for result in results)
     assert live or [result.index for result in results] == [0, 1]
+
+
+@pytest.mark.slow
+def test_whoever_takes_a_background_may_wait_for_the_outcome(calibration, at_rest, pressed):
+    with gelform.stream(ImageSource(at_rest), calibration) as stream:
+        before = stream.newest().result.depth
+        assert stream.take_background(60.0) == ()
+        until(lambda: not np.array_equal(stream.newest().result.depth, before))
+    with gelform.stream(ImageSource(pressed), calibration) as stream:
+        assert [one.name for one in stream.take_background(60.0)] == ["background_refused"]
+        assert [one.name for one in stream.take_background(60.0)] == ["background_touched"]
+    with gelform.stream(ImageSource(at_rest, rate_hz=2), calibration) as stream:
+        assert stream.take_background() == ()
+        with pytest.raises(
+            StaleError, match=r"a second of frames within 0\.1 s. The stream is (starting|running)"
+        ):
+            stream.take_background(0.1)

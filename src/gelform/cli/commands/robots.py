@@ -1,4 +1,4 @@
-"""gelform bag, ros and track: results of a source as a ROS 2 bag, live over zenoh, or as the path of the object."""
+"""gelform bag, ros and track: results of a source as a ROS 2 bag, live, or as the path of the object."""
 
 from __future__ import annotations
 
@@ -19,7 +19,15 @@ from gelform.cli.console import DOUBT, ShownOption, mistakes_in, say, status_of
 from gelform.cli.files import Inputs, check_output, save_by_name
 from gelform.cli.options import argument, option, usage_errors
 from gelform.errors import counted
-from gelform.robots.topics import MAX_DOMAIN, ROUTER, TOPICS, USUAL, check_sensor_name, check_topics
+from gelform.robots.topics import (
+    MAX_DOMAIN,
+    MIDDLEWARES,
+    ROUTER,
+    TOPICS,
+    USUAL,
+    check_sensor_name,
+    check_topics,
+)
 
 PRIOR = "MM,DEG"
 
@@ -100,18 +108,19 @@ def ros(
         str, argument("[SOURCE]", "Serial, name, URL, recording, video, folder, or simulated.")
     ] = "simulated",
     sent: Sent,
+    middleware: Annotated[str, option("NAME", f"Of {', '.join(MIDDLEWARES)}: rclpy where it is.")] = "auto",
     router: Annotated[str, option("ADDRESS", "Address of the zenoh router.")] = ROUTER,
     domain: Annotated[
         int, Option(envvar="ROS_DOMAIN_ID", min=0, max=MAX_DOMAIN, help="ROS domain of the subscribers.")
     ] = 0,
     shown: ShownOption,
 ) -> None:
-    """Publish results to ROS 2 over zenoh (experimental).
+    """Publish results to ROS 2, by rclpy or over zenoh (experimental).
 
-    Publishes images, indentation, points and findings; this machine needs no ROS.
+    Publishes images, indentation, points and findings, by rclpy where it is installed.
 
-    The subscribers must use the middleware rmw_zenoh (ROS 2 Jazzy and later). Topics and messages are those of gelform
-    bag. A zenoh router must run: `ros2 run rmw_zenoh_cpp rmw_zenohd`. Needs the extra `ros`.
+    Else it needs no ROS: then the subscribers must use the middleware rmw_zenoh (ROS 2 Jazzy and later), and a zenoh router
+    must run: `ros2 run rmw_zenoh_cpp rmw_zenohd`. Topics and messages are those of gelform bag. Needs the extra `ros`.
 
     \b
     Examples:
@@ -119,7 +128,9 @@ def ros(
       gelform ros 2BKRXXXX -c cal.npz --name left_finger --topics indentation,diagnostics
       gelform ros session.mcap -c cal.npz --router tcp/192.168.1.5:7447 --domain 7
     """
-    settings = {**sent.settings(), "router": router, "domain": domain, "bgr": given.bgr}
+    options.one_of(middleware, MIDDLEWARES, "--middleware")
+    link = {"router": router, "domain": domain, "middleware": middleware}
+    settings = {**sent.settings(), **link, "bgr": given.bgr}
     loaded = given.calibration_of(source, shown.quiet)
     background = given.background_for(loaded)
     with mistakes_in("ros"), shown.progress() as progress:

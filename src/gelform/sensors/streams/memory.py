@@ -147,6 +147,11 @@ class Memory:
         """
         self._drift.asked = True
 
+    @property
+    def background_request(self) -> tuple[bool, tuple[Finding, ...]]:
+        """Whether the last request for a background is not decided yet; what was found in the one before it."""
+        return self._drift.taking, self._drift.refused
+
     def image_from_frame(self, frame: Frame) -> Array:
         """The calibration's view of a frame; ValueError if the frame has another size."""
         calibration = self.reconstruct.calibration

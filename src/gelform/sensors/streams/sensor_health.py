@@ -99,6 +99,11 @@ class BackgroundDrift:
         rest = self._local_blocks
         return np.asarray(lit(rest, self.light).mean(axis=(0, 1)) / rest.mean(axis=(0, 1)), dtype=np.float64)
 
+    @property
+    def taking(self) -> bool:
+        """Whether a background that was asked for is not decided yet."""
+        return self.asked or self._taking
+
     def __call__(self, image: Array, result: Reconstruction) -> Map | None:
         """Learn from a frame; the background (H, W, 3) if it has changed, else None."""
         time_s = result.time_s or 0.0
@@ -108,7 +113,7 @@ class BackgroundDrift:
             self._forget(time_s)
         self._last_s = time_s
         if self.asked:
-            self.asked, self._taking = False, True
+            self._taking, self.asked = True, False  # in this order: `taking` is read in other threads
             self._start_anew(time_s)
         names = {finding.name for finding in result.health}
         if names & NO_MEASURE:
@@ -125,14 +130,17 @@ class BackgroundDrift:
             self._different += 1
         if time_s - self._step_s < STEP_S:
             return None
-        return self._taken(time_s) if self._taking else self._step(time_s)
+        if not self._taking:
+            return self._step(time_s)
+        taken = self._taken(time_s)
+        self._taking = False
+        return taken
 
     def _taken(self, time_s: float) -> Map | None:
         """Start again from the mean of the frames since the request; None if something seems to touch the gel in it.
 
         A second request in a row takes it all the same.
         """
-        self._taking = False
         mean = self._sum / np.float32(self._sum_count)
         touch = touch_in(mean, self._calibrated)
         again, self.refused = any(one.name == REFUSED for one in self.refused), ()

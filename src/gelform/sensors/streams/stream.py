@@ -29,6 +29,7 @@ from gelform import (
 from gelform.arrays import Array, Map
 from gelform.calibration.library import NoCalibration, choose_calibration, unit_of
 from gelform.calibration.starters import Starter, load_starter, starter_names, starter_of_source
+from gelform.errors import Finding
 from gelform.image.agreement import touch_in
 from gelform.image.background import USUAL_FRAMES
 from gelform.image.light import block_means
@@ -221,6 +222,10 @@ class UntouchedFirst:
         """As `Memory.take_background`; does nothing before there is a calibration, which awaits the gel at rest anyway."""
         if self._memory is not None:
             self._memory.take_background()
+
+    @property
+    def background_request(self) -> tuple[bool, tuple[Finding, ...]]:
+        return (False, ()) if self._memory is None else self._memory.background_request
 
 
 def stream(
@@ -422,12 +427,40 @@ class Stream:
         """The calibration in use; StaleError while a starter waits for the gel at rest."""
         return self._memory.reconstruct.calibration
 
-    def take_background(self) -> None:
+    def take_background(self, timeout_s: float = 0.0) -> tuple[Finding, ...]:
         """Take the mean of the next second as background image, because nothing touches the gel.
 
         If something does, the background stays, and results have the finding `background_refused`.
+
+        Parameters
+        ----------
+        timeout_s : longest wait for the outcome, s; 0: none, the next second's results tell it
+
+        Returns
+        -------
+        tuple of Finding
+            What was found in it, such as `background_refused`; empty without a wait.
+
+        Raises
+        ------
+        StaleError
+            Too few frames came until the timeout.
         """
         self._memory.take_background()
+        if not timeout_s:
+            return ()
+        deadline = time.monotonic() + timeout_s
+        while self._memory.background_request[0]:
+            left_s = deadline - time.monotonic()
+            if left_s <= 0:
+                stats = self.stats
+                raise StaleError(
+                    f"Expected a second of frames within {timeout_s:g} s. "
+                    f"The stream is {stats.state}{f': {stats.reason}' if stats.reason else '.'}"
+                )
+            with (changed := self._pipeline.results.changed):  # each frame brings it nearer
+                changed.wait(left_s)
+        return self._memory.background_request[1]
 
     @property
     def stats(self) -> StreamStats:
