@@ -98,7 +98,7 @@ def notes_of(readings: Sequence[BallReading]) -> tuple[str, ...]:
 
 
 def light_press_notes(located: Located, readings: Sequence[BallReading]) -> tuple[str, ...]:
-    """A note where nothing checked the ball, and nine of ten contacts are small on it: light presses, or a wrong diameter."""
+    """A note where nothing checked the ball, and nine of ten contacts are small on it."""
     prepared, contacts = located.refined.of_accepted(located.prepared)
     shares = [contact.radius_px / press.ball_radius_px for press, contact in zip(prepared, contacts)]
     if readings or not shares or np.quantile(shares, 0.9) > INNER:
