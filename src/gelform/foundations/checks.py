@@ -257,7 +257,12 @@ def check_path(path: Any, what: str = "a path") -> Path:
     if not isinstance(text, str):
         raise TypeError(f"Expected {what} as text or a Path, got {type(text).__name__}.")
     longest = max(map(len, text.split(os.sep)))
-    if not text or "\0" in text or len(text) > MAX_PATH or longest > MAX_NAME:
+    try:
+        os.fsencode(text)
+        is_text = bool(text) and "\0" not in text
+    except UnicodeEncodeError:  # half a character
+        is_text = False
+    if not is_text or len(text) > MAX_PATH or longest > MAX_NAME:
         raise DataError(f"Expected {what}, got {text[:60]!r}, which no file can be called.")
     return Path(text)
 

@@ -365,7 +365,7 @@ def _faults_named(path: Path) -> Iterator[None]:
         yield
     except EndOfFile:
         return  # unfinished: the recorder was killed
-    except (ValueError, KeyError, struct.error, MemoryError, McapError) as problem:
+    except (ValueError, KeyError, struct.error, MemoryError, OverflowError, McapError) as problem:
         raise DataError(f"{path} is no MCAP file, or a damaged one: {problem}") from problem
 
 
