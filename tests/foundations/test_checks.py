@@ -71,7 +71,8 @@ REFUSED = [
     (check_values, (np.ones((4, 5)), "light", (3,)), ValueError, r"light of shape \(..., 3\), got \(4, 5\)"),
     (check_values, ([1e300, 1.0, 1.0], "light", (3,)), ValueError, "1 values that are NaN or infinite"),
     (check_values, ([1j, 0, 0], "light", (3,)), TypeError, "light as numbers, got complex128"),
-    *((check_path, (path,), DataError, "which no file can be called") for path in ("", "a\0b", "x" * 300, "a/" * 3000, "a\ud800b")),
+    *((check_path, (path,), DataError, "which no file can be called")
+      for path in ("", "a\0b", "x" * 300, "a/" * 3000, "a\ud800b")),
     *((check_path, (path,), TypeError, "as text or a Path") for path in (None, 3, b"x", ["x"])),
     (check_is, (None, View, "view"), TypeError, "Expected view as View, got NoneType"),
     (check_list, (["a", 1], "names", str), TypeError, "Expected each of names as str, got int"),

@@ -190,6 +190,10 @@ class McapRecording:
         with self._faults_named():
             self._end_chunk()
             self._file.flush()
+        if not os.fstat(self._file.fileno()).st_nlink:
+            self._file.close()
+            self.frames = 0
+            raise DataError(f"Cannot write {self.path} any further: it was deleted. No frame of it is kept.")
         self._kept, self._kept_bytes = self.frames, self._file.tell()
         self._flushed_s = time.monotonic()
 
