@@ -194,6 +194,13 @@ class ReportedFailures(TyperGroup):
         with _usage_printable():
             return super().make_context(*given, **extra)
 
+    def make_context(self, *given: Any, **named: Any) -> Any:
+        """Parse the arguments before a command."""
+        try:
+            return super().make_context(*given, **named)
+        except KeyboardInterrupt as problem:
+            sys.exit(_report(problem))
+
     def invoke(self, ctx: Any) -> Any:
         """Run the requested command."""
         try:
