@@ -366,21 +366,3 @@ def test_the_second_writer_of_one_file_is_refused(tmp_path, fails, press_folder)
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(DataError, match="Cannot write into"), only_writer(tmp_path / "no" / "cal.npz"):
         pass
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-@pytest.mark.parametrize("kind", ["SIGINT", "SIGTERM", "SIGHUP"])
-@pytest.mark.parametrize("module", ["typer", "gelform.cli.console"])
-def test_a_signal_while_modules_are_imported_ends_with_one_line(tmp_path, kind, module):
-    program = (
-        "import sys; sys.argv = ['gelform', 'demo', '-o', 'demo']; from gelform.__main__ import run; run()"
-    )
-    command = [sys.executable, "-X", "importtime", "-c", program]
-    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as ran:
-        for line in ran.stderr:
-            if line.rpartition("|")[2].strip() == module:
-                break
-        ran.send_signal(getattr(signal, kind))
-        said = [line for line in ran.stderr if not line.startswith("import time:")]
-    assert (ran.wait(60), said) == (130, ["gelform: interrupted.\n"])

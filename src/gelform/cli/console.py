@@ -191,13 +191,9 @@ class ReportedFailures(TyperGroup):
 
     def make_context(self, *given: Any, **extra: Any) -> Any:
         """Parse the options before the command."""
-        with _usage_printable():
-            return super().make_context(*given, **extra)
-
-    def make_context(self, *given: Any, **named: Any) -> Any:
-        """Parse the arguments before a command."""
         try:
-            return super().make_context(*given, **named)
+            with _usage_printable():
+                return super().make_context(*given, **extra)
         except KeyboardInterrupt as problem:
             sys.exit(_report(problem))
 
