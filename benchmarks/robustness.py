@@ -5,7 +5,7 @@
 
 `cli` makes calls of every command with odd arguments and damaged inputs. A call may end well, or in a sentence and status 1
 or 2; status 70, a traceback, a signal or a hang is a fault, and makes the script's own status 1. `orientation` shows the
-Reconstructor real presses and backgrounds of four sets in the 15 wrong readings (below GELFORM_DATA, default
+Reconstructor real presses and backgrounds of four sets in the 47 wrong readings (below GELFORM_DATA, default
 ../shared/data). `library` runs the properties of tests/robustness: every case ends in an error of gelform's own, a finding,
 or a right result.
 """
@@ -145,7 +145,7 @@ def cli(count: int, seed: int) -> dict[str, Any]:
 
 
 def orientation() -> dict[str, Any]:
-    """Real presses and backgrounds in the 15 wrong readings: how the Reconstructor answers them, by set."""
+    """Real presses and backgrounds in the 47 wrong readings: how the Reconstructor answers them, by set."""
     figures: dict[str, Any] = {}
     for name in SETS:
         presses = gelform.read_presses(DATA / name)
@@ -169,7 +169,7 @@ def orientation() -> dict[str, Any]:
         "accepted silently",
     )
     rows = [[name, *(found.get(one, 0) for one in shown)] for name, found in figures.items()]
-    print("\n" + table(["15 wrong readings", *shown], rows))
+    print("\n" + table(["47 wrong readings", *shown], rows))
     return figures
 
 

@@ -53,7 +53,7 @@ def _moved(reconstruct: gelform.Reconstructor, image: np.ndarray) -> list[tuple[
 
 
 def orientation(run: Run) -> dict[str, Any]:
-    """Presses in all sixteen readings against their set's background: named rightly, wrongly, or not at all."""
+    """Presses in all 48 readings against their set's background: named rightly, wrongly, or not at all."""
     figures: dict[str, Any] = {}
     for name in run.sets:
         presses, found = run.presses(name), []
@@ -67,7 +67,7 @@ def orientation(run: Run) -> dict[str, Any]:
     print(
         "\n"
         + table(
-            ["16 readings", *next(iter(figures.values()))], [[k, *v.values()] for k, v in figures.items()]
+            ["48 readings", *next(iter(figures.values()))], [[k, *v.values()] for k, v in figures.items()]
         )
     )
     return figures
@@ -77,7 +77,7 @@ def lying(image: np.ndarray, reading: Orientation) -> np.ndarray:
     """The image that a reading turns into the given one."""
     other = image[:: -1 if "y" in reading.flip else 1, :: -1 if "x" in reading.flip else 1]
     other = other.transpose(1, 0, 2) if reading.transposed else other
-    return np.ascontiguousarray(other[..., ::-1] if reading.reversed else other)
+    return np.ascontiguousarray(other[..., ["RGB".index(one) for one in reading.order]])
 
 
 def tears(run: Run) -> dict[str, Any]:

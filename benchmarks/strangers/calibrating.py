@@ -9,7 +9,7 @@ import numpy as np
 
 import gelform
 from gelform.calibration.starters import load_starter
-from gelform.image.agreement import READINGS
+from gelform.image.agreement import READINGS, USUAL_ORDERS
 from presses import DATA, unlabeled
 from real_frames.contacts import with_noise
 from real_frames.faults import lying
@@ -82,7 +82,11 @@ def light(run: Run) -> dict[str, Row]:
             said = []
             for image in images:
                 fitted = np.clip(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), 0, 255)
-                readings = [one for one in READINGS if not one.transposed] if make == own_make else [None]
+                readings = (
+                    [one for one in READINGS if not one.transposed and one.order in USUAL_ORDERS]
+                    if make == own_make
+                    else [None]
+                )
                 for reading in readings:
                     given = fitted if reading is None else lying(fitted, reading)
                     why, found = said_of(unit_of, starter, given)

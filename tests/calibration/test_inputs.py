@@ -26,6 +26,7 @@ from gelform.calibration.inputs import (
     imprint_notes,
     input_notes,
     light_order_notes,
+    light_press_notes,
     light_response,
     light_turn,
     notes_of,
@@ -119,6 +120,22 @@ def test_one_size_and_no_other_unit_is_said_to_be_unchecked(presses):
     readings = ball_readings(locate(own), None)
     assert readings == ()
     assert notes_of(readings) == (UNCHECKED,)
+
+
+def test_contacts_that_are_small_on_the_ball_are_said_where_nothing_checks_it(presses):
+    """Twice the ball, and half the pitch, with which the gel would be half as wide too."""
+    alone = presses.subset(range(8))
+    assert light_press_notes(locate(alone), ()) == ()
+    wide = max(alone.image_shape) * alone.mm_per_px
+    halved_pitch = replace(alone, mm_per_px=alone.mm_per_px / 2)
+    for wrong, width in ((stated(alone, 2.0), wide), (halved_pitch, wide / 2)):
+        located = locate(wrong)
+        (said,) = light_press_notes(located, ())
+        low, high = map(float, re.search(r"contacts have ([.\d]+) to ([.\d]+) of the ball", said).groups())
+        assert 0.2 < low < high < 0.6
+        assert f"{width:.3g} mm wide" in said
+        assert REMEDY in said
+        assert light_press_notes(located, [BallReading(5.0, 5.0, 0.5, "")]) == (), "the ball was checked"
 
 
 def test_twice_and_half_are_as_far_off():

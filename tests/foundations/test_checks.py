@@ -71,7 +71,8 @@ REFUSED = [
     (check_values, (np.ones((4, 5)), "light", (3,)), ValueError, r"light of shape \(..., 3\), got \(4, 5\)"),
     (check_values, ([1e300, 1.0, 1.0], "light", (3,)), ValueError, "1 values that are NaN or infinite"),
     (check_values, ([1j, 0, 0], "light", (3,)), TypeError, "light as numbers, got complex128"),
-    *((check_path, (path,), DataError, "which no file can be called") for path in ("", "a\0b", "x" * 300, "a/" * 3000)),
+    *((check_path, (path,), DataError, "which no file can be called")
+      for path in ("", "a\0b", "x" * 300, "a/" * 3000, "a\ud800b")),
     *((check_path, (path,), TypeError, "as text or a Path") for path in (None, 3, b"x", ["x"])),
     (check_is, (None, View, "view"), TypeError, "Expected view as View, got NoneType"),
     (check_list, (["a", 1], "names", str), TypeError, "Expected each of names as str, got int"),
@@ -79,6 +80,13 @@ REFUSED = [
       for values in ("text", b"bytes", 3, None, np.array(1), {}, iter([1]), object())),
     *((check_mm_per_px, (bad,), ValueError, r"mm_per_px > 0 \(mm per pixel, not pixels per mm\)")
       for bad in (0, -1, (0.1, 0), np.nan, np.inf)),
+    *((check_mm_per_px, (pitch,), ValueError, rf"up to 1 mm, got {pitch}. If these are pixels per mm, give 1/{pitch} = 0.0")
+      for pitch in (63.4, 15.8)),
+    *((check_mm_per_px, (pitch,), ValueError, "up to 1 mm, got 15.8") for pitch in ((0.05, 15.8), (15.8, 0.05))),
+    (check_mm_per_px, (1e-5,), ValueError, "of at least 0.0001 mm"),
+    *((check, (np.full((4, 5, size), 127, dtype), *more), TypeError, rf"{name} as numbers with a sign, got {dtype}")
+      for check, name, size, more in ((check_normals, "normals", 3, ()), (check_gradients, "gradients", 2, ()))
+      for dtype in ("uint8", "uint16")),
     (check_mm_per_px, (None,), ValueError, "got None"),
     (check_mm_per_px, ("small",), TypeError, "number or"),
     (check_mm_per_px, ((1, 2, 3),), ValueError, "shape"),

@@ -17,6 +17,7 @@ from gelform.image.agreement import (
     READINGS,
     UNLIKE,
     UPRIGHT,
+    USUAL_ORDERS,
     background_digest,
     check_background_of_frames,
     check_own_background,
@@ -42,7 +43,7 @@ def check_background(image, background):
 
 def lying(image, reading):
     """An image as it is before the reading undoes it."""
-    spoilt = image[..., ::-1] if reading.reversed else image
+    spoilt = image[..., ["RGB".index(one) for one in reading.order]]
     spoilt = spoilt[:: -1 if "y" in reading.flip else 1, :: -1 if "x" in reading.flip else 1]
     return np.ascontiguousarray(spoilt.transpose(1, 0, 2) if reading.transposed else spoilt)
 
@@ -55,11 +56,24 @@ def test_a_reading_is_told_by_its_light_and_its_words_and_remedy_undo_it(press, 
     np.testing.assert_array_equal(reading.undone(spoilt), image)
     named = dict(re.findall(r'(flip|turn) "(\w+)"', reading.remedy))
     viewed = image_from_frame(spoilt.astype(np.uint8), View(**named))
-    np.testing.assert_array_equal(viewed[..., :: -1 if "--bgr" in reading.remedy else 1], image)
-    assert ("BGR" in reading.named) == reading.reversed
+    stored = (
+        "BGR"
+        if "--bgr" in reading.remedy
+        else (re.findall("stored as ([RGB]{3})", reading.remedy) or ["RGB"])[0]
+    )
+    np.testing.assert_array_equal(viewed[..., [stored.index(one) for one in "RGB"]], image)
+    assert (reading.order in reading.named) == (reading.order != "RGB")
     if reading.transposed and reading.flip in ("x", "y"):
         turns = -1 if "counter" not in reading.named else 1
-        np.testing.assert_array_equal(np.rot90(image, turns)[..., :: -1 if reading.reversed else 1], spoilt)
+        np.testing.assert_array_equal(np.rot90(image, turns), lying(image, reading._replace(order="RGB")))
+
+
+def test_a_negative_is_no_reading(press, simulated):
+    """Nor is it where the best wrong reading explains it better than a touch would."""
+    noise = np.random.default_rng(0).normal(0, 2, press.image.shape)
+    rest = np.clip(128 + 1.5 * (simulated.background - 128.0), 2, 253)
+    for image in (press.image, rest + noise):
+        assert orientation_from_image(np.clip(255.0 - image, 0, 255), simulated.background) is None
 
 
 @pytest.fixture(params=[1.0, 0.9, 1.08, (0.95, 1.05)], ids=str)
@@ -85,14 +99,19 @@ def test_a_light_alike_from_all_sides_another_size_and_another_sensor_name_nothi
 @pytest.mark.parametrize("name", SETS)
 def test_every_reading_of_real_presses_is_named(data, name):
     presses = gelform.read_presses(data / name)
-    blocks = block_means(presses.background)
-    for press in presses.presses[::12]:
+    blocks, some, named = block_means(presses.background), presses.presses[::12], 0
+    for press in some:
+        negative = orientation_from_image(255 - press.image, presses.background)
+        assert negative is None
         for reading in READINGS:
             image = lying(press.image, reading)
-            assert orientation_from_image(image, presses.background) == reading
-            if not reading.transposed:
+            told = orientation_from_image(image, presses.background)
+            assert told in ((reading,) if reading.order in USUAL_ORDERS else (reading, None))
+            named += told is not None
+            if not reading.transposed and reading.order in USUAL_ORDERS:
                 unlike = gain_from_blocks(block_means(image), blocks).least_change > UNLIKE
                 assert unlike == (reading != UPRIGHT), "the cheap question first loses nothing"
+    assert named > 0.6 * len(some) * len(READINGS)
 
 
 def test_a_touch_is_found_at_its_place_under_any_light(press, simulated, light):

@@ -262,6 +262,31 @@ def test_a_guide_refuses_an_impossible_ball_and_knows_the_simulated_sensors_scal
         assert len(station.taps) == 1
 
 
+def test_a_camera_that_comes_back_with_another_size_ends_nothing(hub, station, monkeypatch, tmp_path):
+    """The guide says it, and goes on once the size is back; the recording goes on too."""
+    monkeypatch.setattr("gelform.calibration.guide.LOOK_EVERY_S", 0.0)
+    hub.folder = tmp_path
+    actions.guide_start(hub, station, 5.0, "", 0.0)
+    guide, usual = hub.guides[0].guide, station.source.image_at
+    actions.record(hub, station, True)
+    for step in ("background", "press"):
+        until(lambda step=step: guide.step == step and guide.facts()["untouched"][0])
+        station.source.image_at = lambda index: usual(index).repeat(2, 0).repeat(2, 1)
+        until(lambda: "Expected images of 176x132 px, as before, got 352x264 px." in guide.hint)
+        station.source.image_at = usual
+        until(lambda: "Expected" not in guide.hint)
+    assert hub.recorders
+
+
+def test_a_guide_that_fails_says_so_and_the_sensor_goes_on(hub, station, monkeypatch):
+    actions.guide_start(hub, station, 5.0, "", 0.0)
+    monkeypatch.setattr(hub.guides[0].guide, "look_at", lambda frame: 1 / 0)
+    until(lambda: any("ZeroDivisionError" in text for *_, text in hub.notices))
+    before = station.newest.serial
+    until(lambda: station.newest.serial > before + 3)
+    assert not station.taps
+
+
 PLACES_MM = np.array([(-5.0, -3.0), (5.0, 3.0), (0.0, 0.0), (-5.0, 3.5), (5.0, -3.5), (0.0, 4.0)])
 HELD, LIFTED, UNTOUCHED = 14, 8, 40  # frames at 25 a second
 

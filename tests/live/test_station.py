@@ -145,6 +145,35 @@ def test_a_camera_that_goes_away_comes_back(show):
     assert station.facts()["reopened"] >= 1
 
 
+@pytest.mark.parametrize("fails", ["tap", "listener", "reconstruction"])
+def test_what_fails_in_a_sensors_thread_does_not_end_it(show, monkeypatch, tmp_path, fails):
+    monkeypatch.setattr("gelform.live.station.RETRY_S", 0.02)
+    station, calls, reconstructed = show(lambda: ImageSource(GRAY)), [], Station.reconstructed
+    recorder = Recorder(station.grabber, tmp_path)
+    recorder.start()
+
+    def failing(*given):
+        calls.append(given)
+        if len(calls) == 1:
+            raise ValueError("not thought of")
+        return reconstructed(*given) if fails == "reconstruction" else None
+
+    if fails == "tap":
+        station.taps.append(failing)
+    elif fails == "listener":
+        station._on_shown = failing
+    else:
+        monkeypatch.setattr(Station, "reconstructed", failing)
+    until(lambda: calls)
+    before = station._serial
+    until(lambda: station.newest.serial > before + 3)
+    recorder.close()
+    if fails == "tap":
+        assert (len(calls), station.taps, recorder.problem) == (1, [], ""), (
+            "it gets no more, and nothing else ends"
+        )
+
+
 def test_while_nobody_looks_few_frames_are_reconstructed_and_recorders_get_all(show, tmp_path):
     looking, hub, times_s = threading.Event(), Hub(), []
     hub.listen(lambda: times_s.append(hub.stations[0].newest.frame.time_s))

@@ -286,6 +286,7 @@ def test_wrong_sensor_toml(tmp_path):
         (VALID + "[camera]\ngain = true", r"gain of \[camera\] as a number"),
         (VALID + "[camera]\ngain = nan", r"gain of \[camera\] as a number"),
         ("name = ", "no TOML"),
+        (VALID + f"serial = {'9' * 5000}", "no TOML"),
     ):
         path = tmp_path / "sensor.toml"
         path.write_text(text)

@@ -139,6 +139,21 @@ def test_a_file_cut_anywhere_is_named_and_gives_the_frames_before(tmp_path):
         assert end_missing(tmp_path / name) == ""
 
 
+@pytest.mark.slow
+def test_any_one_byte_gives_frames_or_a_data_error(tmp_path):
+    """Such as the length of a record in a chunk without a checksum, larger than any index."""
+    path = recorded(tmp_path / "a.mcap", frames(2, shape=(4, 5), encoded=True))
+    content, ended = path.read_bytes(), set()
+    for at in range(8, 600):
+        path.write_bytes(content[:at] + b"\xff" + content[at + 1 :])
+        try:
+            ended.add(len(list(open_film(path))))
+        except DataError:
+            ended.add("refused")
+    assert "refused" in ended
+    assert 2 in ended
+
+
 @pytest.mark.usefixtures("chunk_per_frame")
 def test_changed_bytes_and_a_recorder_killed_before_the_first_frame_are_said(tmp_path):
     path = recorded(tmp_path / "a.mcap", frames(6))

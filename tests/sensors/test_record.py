@@ -5,6 +5,7 @@ Facts about the camera; lossless pictures; ROS 2 messages, byte by byte in both 
 
 from __future__ import annotations
 
+import shutil
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -220,6 +221,18 @@ def test_it_ends_when_it_is_large_enough_or_no_longer_wanted(frames, calibration
             if folder == "large":
                 frame_bytes = recorder.stats.written_bytes / recorder.stats.frames
                 assert limit <= recorder.stats.written_bytes < limit + 2 * frame_bytes
+
+
+def test_a_recording_whose_folder_is_removed_says_so(frames, tmp_path, monkeypatch):
+    monkeypatch.setattr("gelform.sensors.mcap.FLUSH_S", 0.0)
+    (tmp_path / "own").mkdir()
+    with Grabber(lambda: ImageSource([frames[0].image])) as grabber:
+        recorder = Recorder(grabber, tmp_path / "own")
+        shutil.rmtree(tmp_path / "own")
+        recorder.start()
+        until(lambda: recorder.problem)
+    assert "was deleted. No frame of it is kept." in recorder.problem
+    assert recorder.stats.frames == 0
 
 
 def test_two_sensors_in_one_second_are_both_kept(forms, frames, calibration, tmp_path, monkeypatch):

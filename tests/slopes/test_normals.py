@@ -172,7 +172,7 @@ def test_curl_of_several_frames_is_that_of_each():
 
 def test_the_kernel_of_a_solutions_slopes_agrees_with_numpy():
     def numpy_slopes(depth, out, per_x, per_y):
-        return gradients_from_depth(depth, mm_per_px=(1 / per_x, 1 / per_y))
+        return gradients_from_depth(depth, mm_per_px=(0.01 / per_x, 0.01 / per_y)) * 0.01
 
     assert_kernel_agrees(gradients._slopes_of_depth, numpy_slopes)
     depth, pitch = np.random.default_rng(0).normal(size=(21, 33)).astype(np.float32), (0.0634, 0.08)

@@ -24,6 +24,7 @@ from gelform.calibration.inputs import (
     check_places,
     first_notes,
     input_notes,
+    light_press_notes,
 )
 from gelform.calibration.presses.folder import Presses, as_presses, with_view
 from gelform.calibration.presses.press_set import Press
@@ -90,7 +91,12 @@ def calibrate(
 
     located = locate(presses, first_unit, progress=progress)
     balls = ball_readings(located, known)
-    said = (*(one.message for one in doubts), *first_notes(presses, balls), *untried)
+    said = (
+        *(one.message for one in doubts),
+        *first_notes(presses, balls),
+        *light_press_notes(located, balls),
+        *untried,
+    )
     located = replace(located, notes=(*said, *located.notes))
     check_places(located)
     folds = make_folds(located, progress=progress)

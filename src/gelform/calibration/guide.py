@@ -341,6 +341,7 @@ class Guide:
         self.made: GuidedCalibration | None = None  # the calibration and its files, None before the fit
         self._changed = on_changed
         self._lock = threading.Lock()
+        self._shape: tuple[int, ...] | None = None  # (H, W) of its images, None before the first
         self._untouched: list[NDArray[np.uint8]] = []
         self._refusals = 0
         self._background: NDArray[np.float32] | None = None
@@ -418,7 +419,18 @@ class Guide:
         if self.step not in ("background", "press") or now - self._looked_at < LOOK_EVERY_S:
             return
         self._looked_at = now
-        image = np.ascontiguousarray(image_from_frame(frame.image, self.settings.view), dtype=np.uint8)
+        try:
+            image = np.ascontiguousarray(image_from_frame(frame.image, self.settings.view), dtype=np.uint8)
+            if self._shape not in (None, image.shape[:2]):
+                had, now_has = (f"{width}x{height}" for height, width in (self._shape, image.shape[:2]))
+                raise GelformError(
+                    f"Expected images of {had} px, as before, got {now_has} px. Set the camera back, or start again."
+                )
+        except GelformError as problem:
+            self.hint = str(problem)
+            self._changed()
+            return
+        self._shape = image.shape[:2]
         with self._lock:
             if self.step == "background":
                 self._add_untouched(image)

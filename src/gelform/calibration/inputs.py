@@ -97,6 +97,20 @@ def notes_of(readings: Sequence[BallReading]) -> tuple[str, ...]:
     return tuple(wrong or [one.sentence() for one in readings] or [UNCHECKED])
 
 
+def light_press_notes(located: Located, readings: Sequence[BallReading]) -> tuple[str, ...]:
+    """A note where nothing checked the ball, and nine of ten contacts are small on it."""
+    prepared, contacts = located.refined.of_accepted(located.prepared)
+    shares = [contact.radius_px / press.ball_radius_px for press, contact in zip(prepared, contacts)]
+    if readings or not shares or np.quantile(shares, 0.9) > INNER:
+        return ()
+    presses = located.presses
+    return (
+        f"The contacts have {min(shares):.2f} to {max(shares):.2f} of the ball's radius, and the gel would be "
+        f"{presses.mm_per_px * max(presses.image_shape):.3g} mm wide. Either the presses are light, or the stated diameter "
+        f"is too large or mm_per_px too small, and every depth is too small. {REMEDY}",
+    )
+
+
 def _by_model(located: Located, known: Start) -> tuple[BallReading, ...]:
     chosen = located.refined.accepted or [
         i for i, press in enumerate(located.prepared) if why_no_contact(press.found) is None

@@ -482,8 +482,8 @@ def fit(
     used, contacts = located.refined.of_accepted(prepared)
     own = located.presses.subset(located.refined.accepted)
     whole = refined_alone(located, Fold((), tuple(located.refined.accepted), tuple(contacts)))
-    alone = [prepared[i] for i in whole.training], whole.contacts
-    calibration = fit_all(own, used, contacts, selection.chosen, untouched, alone)
+    unmoved = [prepared[i] for i in whole.training], whole.contacts
+    calibration = fit_all(own, used, contacts, selection.chosen, untouched, unmoved)
     shown = set(located.refined.accepted)  # a frame that shows a used press again is no new one either
     digests = [
         one.digest for i, one in enumerate(located.presses.presses) if located.repeated.get(i, i) in shown

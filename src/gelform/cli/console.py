@@ -204,8 +204,11 @@ class ReportedFailures(TyperGroup):
 
     def make_context(self, *given: Any, **extra: Any) -> Any:
         """Parse the options before the command."""
-        with _usage_printable():
-            return super().make_context(*given, **extra)
+        try:
+            with _usage_printable():
+                return super().make_context(*given, **extra)
+        except KeyboardInterrupt as problem:
+            sys.exit(_report(problem))
 
     def invoke(self, ctx: Any) -> Any:
         """Run the requested command."""

@@ -368,7 +368,8 @@ def why_no_normal(touch: Touch) -> str:
     return ""
 
 
-LEAST_LOADS, LEAST_RANGE = 3, 3.0  # loads, and the largest over the smallest
+# Loads and objects, and the largest load over the smallest.
+LEAST_LOADS = LEAST_OBJECTS = LEAST_RANGE = 3
 LEAST_SHARE = 0.05  # of the largest normal load; smaller ones, also below 0, are the gauge's zero
 LARGEST_LOAD = 1e9  # N and N mm; no press has more, and its square is far from the end of numbers
 KNOWN_K = 0.045  # N/mm^3, middle of hard objects on the studied gel (.036 to .051)
@@ -538,7 +539,7 @@ def _fit(kind: str, touches: list[Touch], loads: list[Load]) -> ForcePart | None
     for out in _folds(grasps):
         predicted[out] = terms[out] @ solve(terms[~out], target[~out])
     relative, floor = _spread(predicted, target)
-    if len(set(grasps[:, 0])) == 1:  # one object does not show what others do
+    if len(set(grasps[:, 0])) < LEAST_OBJECTS:  # they do not show what others do
         relative = max(relative, 0.3)
     weights = tuple(map(tuple, solve(terms, target).T.tolist()))
     return ForcePart(weights, (float(size.min()), float(size.max())), relative, floor, len(target))

@@ -122,6 +122,7 @@ def check_gradients(
             wanted = f"({array.shape[-2]}, {array.shape[-1]}, 2)"
         hint = " Move the axis of the components last." if moved else ""
         raise ValueError(f"Expected gradients of shape {wanted}, got {array.shape}.{hint}")
+    _check_signed(array, "gradients")
     return check_finite(_as_float(array, "gradients", dtype), "gradients")
 
 
@@ -130,6 +131,7 @@ def check_normals(normals: ArrayLike) -> Map:
     array = as_array(normals, "normals")
     if array.ndim < 1 or array.shape[-1] != 3:
         raise ValueError(f"Expected normals of shape (..., 3), got {array.shape}.")
+    _check_signed(array, "normals")
     array = check_finite(_as_float(array, "normals"), "normals")
     if array.size and float(array[..., 2].min()) < 1 / LARGEST:
         raise ValueError(
@@ -202,6 +204,15 @@ def value_range(array: Array) -> tuple[float, float]:
     return float(found[0]), float(found[1])
 
 
+def _check_signed(array: Array, name: str) -> None:
+    """Refuse a picture in which a map is coded: its numbers have no sign."""
+    if array.dtype.kind == "u":
+        raise TypeError(
+            f"Expected {name} as numbers with a sign, got {array.dtype}. Decode a picture of them first, such as normals "
+            "by picture / 127.5 - 1."
+        )
+
+
 def _as_float(array: Array, name: str, dtype: Any = np.float32) -> Array:
     if array.dtype == np.bool_ or not (
         np.issubdtype(array.dtype, np.floating) or np.issubdtype(array.dtype, np.integer)
@@ -246,21 +257,25 @@ def check_path(path: Any, what: str = "a path") -> Path:
     if not isinstance(text, str):
         raise TypeError(f"Expected {what} as text or a Path, got {type(text).__name__}.")
     longest = max(map(len, text.split(os.sep)))
-    if not text or "\0" in text or len(text) > MAX_PATH or longest > MAX_NAME:
+    try:
+        os.fsencode(text)
+        is_text = bool(text) and "\0" not in text
+    except UnicodeEncodeError:  # half a character
+        is_text = False
+    if not is_text or len(text) > MAX_PATH or longest > MAX_NAME:
         raise DataError(f"Expected {what}, got {text[:60]!r}, which no file can be called.")
     return Path(text)
 
 
 # mm, smallest and largest values of sensors; a number outside is in another unit.
 GEL_THICKNESS_MM, PITCH_MM = (0.05, 50.0), (1e-4, 1.0)
-MM_PER_PX = 1e-6, 1e3  # mm; float32 holds sums of such squares, and no sensor comes near
 
 
 def check_mm_per_px(mm_per_px: float | Sequence[float] | Array | None) -> tuple[float, float]:
-    """Return the pixel pitch as (x, y) in mm; one number stands for square pixels."""
+    """Return the pixel pitch as (x, y) in mm, each as `check_sensor_pitch`; one number stands for square pixels."""
     if mm_per_px is None:
         raise ValueError("Expected mm_per_px, got None. Give the pixel pitch in mm, for example 0.0634.")
-    if type(mm_per_px) is float and MM_PER_PX[0] <= mm_per_px <= MM_PER_PX[1]:  # the usual case of each frame
+    if type(mm_per_px) is float and PITCH_MM[0] <= mm_per_px <= PITCH_MM[1]:  # the usual case of each frame
         return mm_per_px, mm_per_px
     try:
         values = np.atleast_1d(np.asarray(mm_per_px))
@@ -273,11 +288,7 @@ def check_mm_per_px(mm_per_px: float | Sequence[float] | Array | None) -> tuple[
         raise ValueError(f"Expected mm_per_px as a number or (x, y), got shape {values.shape}.")
     if not np.all(np.isfinite(values)) or float(values.min()) <= 0:
         raise ValueError(f"Expected mm_per_px > 0 (mm per pixel, not pixels per mm), got {mm_per_px}.")
-    if not (MM_PER_PX[0] <= float(values.min()) and float(values.max()) <= MM_PER_PX[1]):
-        raise ValueError(
-            f"Expected mm_per_px between {MM_PER_PX[0]:g} and {MM_PER_PX[1]:g}, got {mm_per_px}."
-        )
-    return float(values[0]), float(values[-1])
+    return check_sensor_pitch(float(values[0])), check_sensor_pitch(float(values[-1]))
 
 
 def check_sensor_pitch(mm_per_px: float) -> float:

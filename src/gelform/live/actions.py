@@ -296,7 +296,7 @@ def guide_start(hub: Hub, station: Station, ball_diameter_mm: float, profile: st
         on_changed=hub.changed,
     )
     hub.end_guide(station)
-    hub.guides[station.number] = GuideSession(station, guide)
+    hub.guides[station.number] = GuideSession(hub, station, guide)
     if station.player is not None:
         station.player.loop(False)
         station.player.seek(0)

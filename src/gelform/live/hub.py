@@ -255,8 +255,8 @@ HELD_S = 20.0  # s, longest simulated press; it is lifted once accepted, which t
 class GuideSession:
     """A guided calibration that gets a station's frames; the simulated sensor is pressed at the suggested places."""
 
-    def __init__(self, station: Station, guide: Guide) -> None:
-        self.guide, self._station, self._simulated = guide, station, station.simulated
+    def __init__(self, hub: Hub, station: Station, guide: Guide) -> None:
+        self.guide, self._hub, self._station, self._simulated = guide, hub, station, station.simulated
         self._pressed_s, self._pressed = 0.0, -1
         if self._simulated is not None:
             self._simulated.rest()
@@ -270,6 +270,14 @@ class GuideSession:
             self._simulated.rest(False)
 
     def _tap(self, shown: Shown) -> None:
+        """Look at a frame; if that fails, the guide gets no more of them, and can still fit its presses."""
+        try:
+            self._look_at(shown)
+        except Exception as problem:  # the sensor's own thread
+            self._hub.notice(sentence_for_page(problem), "error")
+            self.close()
+
+    def _look_at(self, shown: Shown) -> None:
         """Look at a frame, and press the simulated sensor once for each target."""
         guide, now = self.guide, time.monotonic()
         guide.look_at(shown.frame)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 import time
@@ -92,6 +93,7 @@ def _largest_sigma(covariance: NDArray[np.float64]) -> float:
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(covariance)[-1])))
 
 
+LOG = logging.getLogger("gelform.live")
 SETTABLE = (*CONTROLS, "led_level")  # settings of a camera that the page can change
 RETRY_S = 1.0  # s between attempts to open an unavailable source
 WAIT_S = 0.25  # s, longest wait for a frame or a result before the station is looked at again
@@ -360,12 +362,15 @@ class Station:
                 with Grabber(opening.open_it, stall_s=opening.stall_s, keep=KEPT_FRAMES) as self._grabber:
                     self._show_all(self._grabber)
             except Exception as problem:
-                is_bug = not isinstance(problem, (GelformError, OSError))
+                is_bug, before = not isinstance(problem, (GelformError, OSError)), self._missing
                 self._missing = f"bug: {type(problem).__name__}: {problem}" if is_bug else str(problem)
+                if (
+                    is_bug and self._missing != before
+                ):  # once; the page shows it, and the sensor is tried again
+                    LOG.exception("Sensor %s has stopped.", self.spec)
                 self._grabber = None
-                self._on_shown()
-                if is_bug:  # the page shows that this sensor has stopped, and why
-                    raise
+                with suppress(Exception):  # it may be what has failed
+                    self._on_shown()
                 self._switched.wait(RETRY_S)
 
     def _show_all(self, grabber: Grabber) -> None:
@@ -398,7 +403,12 @@ class Station:
             shown.motion = moved(shown.result, calibration.settings.place_error)
         self.newest = shown
         for tap in tuple(self.taps):
-            tap(shown)
+            try:
+                tap(shown)
+            except Exception:  # it ends, not the sensor
+                LOG.exception("A function that gets the frames of %s has failed. It gets no more.", self.spec)
+                with suppress(ValueError):  # it has gone by itself
+                    self.taps.remove(tap)
         self._on_shown()
 
     def reconstructed(self, frame: Frame, timed: Timed) -> Shown:

@@ -54,7 +54,7 @@ def read_toml(path: Path, what: str, error: type[GelformError] = DataError) -> d
         raise error(
             f"{path} is no text in UTF-8: byte {problem.start} is none. Save it as UTF-8."
         ) from problem
-    except tomllib.TOMLDecodeError as problem:
+    except ValueError as problem:  # of a number with thousands of digits too
         raise error(f"{path} is no TOML file: {said(problem)}.") from problem
     except RecursionError:
         raise error(f"{path} holds tables inside tables beyond reason: expected {what}.") from None

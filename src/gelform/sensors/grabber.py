@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections import deque
@@ -21,6 +22,17 @@ STALL_S = 0.5  # s without a frame until "reconnecting"; robots' recorders give 
 Value = TypeVar("Value")
 
 
+class Shared(Iterator[Value]):
+    """An iterator that several threads may share: each value goes to one of them."""
+
+    def __init__(self, values: Iterator[Value]) -> None:
+        self._values, self._lock = values, threading.Lock()
+
+    def __next__(self) -> Value:
+        with self._lock:
+            return next(self._values)
+
+
 class Newest(Generic[Value]):
     """Keeps the newest value and its figures for any number of readers; each remembers the last number that it read.
 
@@ -38,6 +50,7 @@ class Newest(Generic[Value]):
         self.times_s: deque[float] = deque(maxlen=rated)  # of the last values
         self._time_s: float | None = None  # of the newest one
         self._every = every
+        self._process = os.getpid()
         self._held: deque[tuple[int, Value]] = deque(maxlen=keep)
         self._asked = self._expected = -1
 
@@ -79,8 +92,13 @@ class Newest(Generic[Value]):
         If a newer value was being made at the time of the call, this waits for it, because a stored value ages. The
         stored one is returned only if the timeout passes first.
 
-        BaseException: the error that ended the writing thread, once the reader has had every value.
+        BaseException: the error that ended the writing thread, once the reader has had every value. SensorError: a fork
+        has copied the object, but not the thread that writes.
         """
+        if os.getpid() != self._process:
+            raise SensorError(
+                "This sensor was opened before a fork, in the other process. Open it again in this one."
+            )
         with self.changed:
             least = max(number + 1, self._expected)
             self.changed.wait_for(lambda: self.number >= least or self.ended, timeout_s)

@@ -190,6 +190,10 @@ class McapRecording:
         with self._faults_named():
             self._end_chunk()
             self._file.flush()
+        if not os.fstat(self._file.fileno()).st_nlink:
+            self._file.close()
+            self.frames = 0
+            raise DataError(f"Cannot write {self.path} any further: it was deleted. No frame of it is kept.")
         self._kept, self._kept_bytes = self.frames, self._file.tell()
         self._flushed_s = time.monotonic()
 
@@ -365,7 +369,7 @@ def _faults_named(path: Path) -> Iterator[None]:
         yield
     except EndOfFile:
         return  # unfinished: the recorder was killed
-    except (ValueError, KeyError, struct.error, MemoryError, McapError) as problem:
+    except (ValueError, KeyError, struct.error, MemoryError, OverflowError, McapError) as problem:
         raise DataError(f"{path} is no MCAP file, or a damaged one: {problem}") from problem
 
 

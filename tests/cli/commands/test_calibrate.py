@@ -303,7 +303,18 @@ def test_loads_are_added_to_the_calibration_and_measured(
     assert float(whole[-1]) == 100 * errors["normal"][-1]["within_2"]
     assert re.search(r"Errors of the normal force are [\d.e-]+ times the stated sigma\.", err)
     assert "Calibrate again" not in err
+    assert "constant" not in err
+    stiff = shutil.copytree(loads, tmp_path / "stiff")
+    head, *rows = (line.split(",") for line in (loads / "loads.csv").read_text().splitlines())
+    table = [head, *([image, name, str(6 * float(force))] for image, name, force in rows)]
+    (stiff / "loads.csv").write_text("\n".join(map(",".join, table)))
+    err = " ".join(works("force", "evaluate", stiff, "-c", own)[1].split())
+    assert re.search(
+        r"mean error of the normal force is [\d.]+ N, larger than that of a constant, [\d.]+ N", err
+    )
     err = works("force", "calibrate", loads, "-c", own, "-o", tmp_path / "other.npz")[1]
+    assert "Only two objects were pressed, so at least 30 % are stated. Press 1 more" in " ".join(err.split())
+    assert said["normal"]["relative"] == 0.3
     assert f"normal: {said['normal']['loads']} loads" in err
     assert (tmp_path / "other.npz").is_file()
 

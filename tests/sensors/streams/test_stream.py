@@ -6,9 +6,11 @@ Without a calibration it starts with a starter's, after a second of the gel at r
 import gc
 import os
 import re
+import signal
 import threading
 import time
 from dataclasses import replace
+from itertools import islice
 from types import SimpleNamespace
 
 import cv2
@@ -202,6 +204,43 @@ def test_a_loop_or_a_with_block_closes_the_stream_and_a_forgotten_one_ends(calib
         assert stream.stats.state == "running"
     assert stream.stats.state == "closed"
     stream.close()
+
+
+def test_threads_that_share_a_loop_share_its_results(calibration, at_rest):
+    with gelform.stream(ImageSource(at_rest, live=False, count=30), calibration) as stream:
+        for of in (iter(stream), stream.pairs()):
+            got, failed = [], []
+
+            def read(of=of, got=got, failed=failed):
+                try:
+                    got.extend(one.index for one in islice(of, 5))
+                except ValueError as problem:
+                    failed.append(problem)
+
+            threads = [threading.Thread(target=read) for _ in range(3)]
+            for one in threads:
+                one.start()
+            for one in threads:
+                one.join()
+            assert not failed
+            assert len(set(got)) == 15
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
+def test_a_fork_of_an_open_stream_is_told_so(calibration, at_rest):
+    with gelform.stream(ImageSource(at_rest), calibration) as stream:
+        stream.newest()
+        child = os.fork()
+        if child == 0:
+            signal.alarm(20)
+            try:
+                next(iter(stream))
+            except SensorError as problem:
+                os._exit(7 if "before a fork" in str(problem) else 1)
+            finally:
+                os._exit(2)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
 
 
 def test_an_error_of_the_source_or_a_stage_reaches_every_consumer(calibration, at_rest):

@@ -26,7 +26,7 @@ from gelform.calibration_file import Calibration, calibration_from_contents
 from gelform.errors import CalibrationError, Finding, SensorError
 from gelform.foundations.checks import check_image, check_is, check_mm_per_px, check_positive
 from gelform.foundations.files import damaged, read_npz, write_npz
-from gelform.image.agreement import READINGS, touch_in
+from gelform.image.agreement import READINGS, USUAL_ORDERS, touch_in
 from gelform.image.background import noise_from_image, surround_finding
 from gelform.image.markers import MarkerFollower
 from gelform.image.view import View, image_from_frame
@@ -139,7 +139,7 @@ def _check_upright(background: Array, light: Numbers, make: str, alike: float) -
     turned = {
         one: _alike(light_from_background(one.undone(background)), light)
         for one in READINGS
-        if not one.transposed
+        if not one.transposed and one.order in USUAL_ORDERS
     }
     best = max(turned.values())
     if best <= max(alike + CLEARLY_ALIKE, LEAST_ALIKE):

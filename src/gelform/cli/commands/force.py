@@ -66,6 +66,7 @@ def calibrate(
     output = output or calibration
     check_output(output, overwrite=overwrite)
     from gelform.calibration.loads import LAGS
+    from gelform.depth.force import LEAST_OBJECTS
 
     loaded = gelform.load_calibration(calibration)
     with only_writer(output):
@@ -84,8 +85,11 @@ def calibrate(
         if part := described[kind]:
             off = f"{100 * part['relative']:.0f} % and {part['floor']:.2g} {unit}"
             shown.say(f"{kind}: {counted(part['loads'], 'load')}, one standard deviation {off}.")
-    if len(model.objects) == 1:
-        shown.say("Only one object was pressed, so at least 30 % are stated. Press two more of other shapes.")
+    if (objects := len(model.objects)) < LEAST_OBJECTS:
+        shown.say(
+            f"Only {'one object was' if objects == 1 else 'two objects were'} pressed, so at least 30 % are stated. Press "
+            f"{LEAST_OBJECTS - objects} more of another shape."
+        )
     shown.say(f"Wrote {output}.")
     shown.json({"calibration": output, **described, "lag_frames": found.lag_frames})
 
@@ -116,6 +120,7 @@ def evaluate(
     lag = loaded.force.lag_frames or 0
     found = _read(loads, loaded, shown, background=background, bgr=bgr, lag_frames=lag)
     errors = gelform.evaluate_force(loaded.force, found.touches, found.loads)
+    worse = []
     for kind, unit in UNITS.items():
         columns = (
             "object",
@@ -126,11 +131,19 @@ def evaluate(
             *SHARES.values(),
         )
         shown.table(f"Errors of the force: {kind}", columns, map(_row, errors[kind]))
+        for row in errors[kind][-1:]:  # of all objects
+            if (off := row.get("mae", 0.0)) > (constant := row.get("constant", {}).get("mae", 0.0)):
+                worse.append(
+                    f"The mean error of the {kind} force is {off:.3g} {unit}, larger than that of a constant, "
+                    f"{constant:.3g} {unit}: it says nothing about these loads. Calibrate again, with these objects too."
+                )
     shown.table("Without a normal force", ("reason", "presses"), errors["reasons"].items())
     ratio = sigma_ratio(loaded.force, found.touches, found.loads)
     if ratio is not None:
         remedy = " Calibrate again, with these objects too." if ratio >= 1.5 else ""  # larger than stated
         shown.say(f"Errors of the normal force are {ratio:.2g} times the stated sigma.{remedy}")
+    for said in worse:
+        shown.say(said)
     shown.json({"lag_frames": found.lag_frames, "errors_over_sigma": ratio, **errors})
 
 

@@ -33,6 +33,7 @@ from gelform.errors import Finding
 from gelform.image.agreement import touch_in
 from gelform.image.background import USUAL_FRAMES
 from gelform.image.light import block_means
+from gelform.sensors.grabber import Shared
 from gelform.sensors.source import Source
 from gelform.sensors.streams.memory import Memory, Smoothing, StreamFrame, Timed, Work
 from gelform.sensors.streams.pipeline import Feed, Pipeline, SourceLike, StreamStats, feed_from_source
@@ -345,13 +346,16 @@ class Stream:
     def __iter__(self) -> Iterator[Reconstruction]:
         """Results, newest first: of several that arrived during the loop's body, only the newest is given.
 
-        Outside a `with` block, the end of the loop closes the stream.
+        Threads that share one iterator share its results; with its own, each has all. Outside a `with` block, the end of the
+        loop closes the stream.
         """
-        for given in self.pairs():
-            yield given.result
+        return Shared(given.result for given in self.pairs())
 
     def pairs(self) -> Iterator[StreamFrame]:
         """As the loop over the stream, with the image of each result."""
+        return Shared(self._pairs())
+
+    def _pairs(self) -> Iterator[StreamFrame]:
         try:
             yield from self._pipeline.results
         finally:
