@@ -168,7 +168,7 @@ def test_other_tables_are_refused(tmp_path):
         (np.zeros((5, 5, 5, 3)), "shape"),
         (np.zeros((5, 5, 6, 2)), "shape"),
         (np.full((5, 5, 5, 2), np.nan), "finite"),
-        (np.array([object()]), "no array file"),
+        (np.array([object()]), "pickled Python objects"),
     ):
         np.save(path, array)
         with pytest.raises(gelform.DataError, match=why):

@@ -115,7 +115,7 @@ def ros(
     ] = 0,
     shown: ShownOption,
 ) -> None:
-    """Publish results to ROS 2, by rclpy or over zenoh (experimental).
+    """Publish results to ROS 2: rclpy, or zenoh (experimental).
 
     Publishes images, indentation, points and findings, by rclpy where it is installed.
 
