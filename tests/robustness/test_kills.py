@@ -114,7 +114,8 @@ def test_killed_at_each_step_of_writing(work, tmp_path, step, there_before):
         arguments = [*arguments, "--overwrite"]
 
     def kill_there():
-        setattr(os, step, lambda *_: os.kill(os.getpid(), signal.SIGKILL))
+        for name in (step, "link") if step == "replace" else (step,):  # a new name is a link
+            setattr(os, name, lambda *_: os.kill(os.getpid(), signal.SIGKILL))
 
     _, status = os.waitpid(start(arguments, kill_there), 0)
     assert os.WTERMSIG(status) == signal.SIGKILL
