@@ -41,7 +41,7 @@ def test_example_runs_twice_and_after_others(path, tmp_path):
     for name in ("presses", "sessions", "depth"):  # as examples of earlier versions left them
         (tmp_path / name).mkdir()
         (tmp_path / name / "a").touch()
-    for _ in range(1 if path.stem in QUICK else 2):
+    for _ in range(2 if path.stem[:2] in ("07", "08") else 1):  # which wrote to one folder
         done = subprocess.run(
             [sys.executable, path], cwd=tmp_path, capture_output=True, text=True, timeout=300
         )
