@@ -210,13 +210,12 @@ class Judge:
             return Look(None, True, moving, str(refusal))
         if _largest(change) < self._touched:
             return Look(None, False, moving, "")
-        mark, size = None if clicked is None else (*clicked, None), magnitude(about_median(change))
-        press = PreparedPress(
-            "", change, size, self._ball_px, find_contact(change), usable, self._background, mark=mark
-        )
-        if mark is not None or by_templates:  # what the presses so far show elsewhere too is no ball
-            press = with_contacts([*self._accepted, press])[-1]
-        self._looked, contact = press, press.found
+        contact = find_contact(change)
+        if clicked is not None or by_templates:  # what the presses so far show elsewhere too is no ball
+            mark, size = None if clicked is None else (*clicked, None), magnitude(about_median(change))
+            known = "", change, size, self._ball_px, contact, usable, self._background
+            self._looked = with_contacts([*self._accepted, PreparedPress(*known, mark=mark)])[-1]
+            contact = self._looked.found
         if why_no_contact(contact) is None:
             return Look(contact.circle_px, True, moving, self._reason(contact, accepted), contact.marked)
         reason = "No ball is clearly visible. Press it a little harder, straight down. Or click the middle of its imprint."

@@ -368,8 +368,7 @@ def why_no_normal(touch: Touch) -> str:
     return ""
 
 
-# Loads and objects, and the largest load over the smallest.
-LEAST_LOADS = LEAST_OBJECTS = LEAST_RANGE = 3
+LEAST_LOADS, LEAST_OBJECTS, LEAST_RANGE = 3, 3, 3.0  # the last: the largest load over the smallest
 LEAST_SHARE = 0.05  # of the largest normal load; smaller ones, also below 0, are the gauge's zero
 LARGEST_LOAD = 1e9  # N and N mm; no press has more, and its square is far from the end of numbers
 KNOWN_K = 0.045  # N/mm^3, middle of hard objects on the studied gel (.036 to .051)

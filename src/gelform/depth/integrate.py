@@ -374,8 +374,6 @@ class FrameDepth:
 
     def __call__(self, slopes: ReadSlopes) -> Integration:
         """The depth of a frame's slopes; it is 0 at rest."""
-        weights, anchor = (
-            slopes.weights(self._full),
-            self._anchor(slopes.gradients, slopes.at_rest, slopes.coarse_px),
-        )
+        anchor = self._anchor(slopes.gradients, slopes.at_rest, slopes.coarse_px)
+        weights = slopes.weights(self._full)
         return Problem(slopes.gradients, (self._pitch, self._pitch), weights, anchor=anchor).solved()

@@ -99,16 +99,6 @@ class DepthSigma:
 
 
 Purpose = Literal["stated", "contact", "deepest", "outline", "valley"]
-# What each deviation of depth is for. All but the first leave out what all depths have in common, which makes no contact
-# less certain; `difference_sigma` leaves it out too.
-PURPOSES: dict[Purpose, str] = {
-    "stated": "what a result states",
-    "contact": "whether something touches: by the negative depths of the whole frame, because a hill that another light "
-    "makes may lie far from the valleys that it makes",
-    "deepest": "the same of the deepest region: valleys beside it, which may be its reaction, do not count",
-    "outline": "where a contact ends: by negative depths alone, those around each pixel too",
-    "valley": "whether a valley is a touch in the background: by the slopes alone, as if negative depths were no error",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +134,17 @@ class DepthErrors:
         return self.coarse.at_pixels(self._with(self.own, self.spread))
 
     def sigma(self, most_mm: float, purpose: Purpose = "stated") -> Map:
-        """Standard deviation (H, W) of the depth, mm, `most_mm` at most, for one of `PURPOSES`."""
+        """Standard deviation (H, W) of the depth, mm, `most_mm` at most, for a purpose.
+
+        All but the first leave out what all depths have in common, which makes no contact less certain.
+
+        - stated: what a result states
+        - contact: whether something touches: by the negative depths of the whole frame, because a hill that another light
+          makes may lie far from the valleys that it makes
+        - deepest: the same of the deepest region: valleys beside it, which may be its reaction, do not count
+        - outline: where a contact ends: by negative depths alone, those around each pixel too
+        - valley: whether a valley is a touch in the background: by the slopes alone, as if negative depths were no error
+        """
         own, variance = self.own, self.contact_spread
         if purpose == "valley":
             return self._root(self.spread, most_mm)

@@ -274,7 +274,10 @@ def _refused_kind(content: bytes | bytearray, alone: bool) -> str | None:
     """The key of `REFUSED` that a picture's header shows, or None; ValueError, struct.error, IndexError: it is damaged."""
     if content.startswith(PNG):
         kinds = {0: "gray", 3: "palette", 4: "gray"}  # PNG specification, 11.2.2
-        return "several" if 0 < content.find(b"acTL") < content.find(b"IDAT") else kinds.get(content[25])
+        animated = (
+            content.find(b"acTL", 0, content.find(b"IDAT")) > 0
+        )  # before the pixels, which are not searched
+        return "several" if animated else kinds.get(content[25])
     if content.startswith(JPEG):
         space = simplejpeg.decode_jpeg_header(bytes(content))[2]
         return {"Gray": "gray", "CMYK": "inks", "YCCK": "inks"}.get(space)

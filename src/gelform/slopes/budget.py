@@ -78,9 +78,7 @@ class ReadSlopes:
     residual: Map | None = None  # (H, W), squared, over its covariance
     model_sigma: Map | None = None  # (H, W), a color model's own deviation, or None
     outlier: float = OUTLIER  # squared residual from which no slope is left
-    coarse_px: Map | None = (
-        None  # (rows, columns), depth on the coarser grid, px, that the step was made with
-    )
+    coarse_px: Map | None = None  # (rows, columns), coarser depth, px, that the step was made with
 
     def weights(self, full_confidence_sigma: float) -> Map:
         """The solver's weight (H, W) of each slope: full^2 / (full^2 + outlier^2), 1e-6 where nothing was seen."""
