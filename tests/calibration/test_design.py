@@ -136,7 +136,7 @@ def test_the_sensor_of_the_documentation_can_be_studied(tmp_path):
     (tmp_path / "mine.toml").write_text(re.search(r"```toml\n(.*?)```", PAGE.read_text(), re.DOTALL)[1])
     sensor = read_simulated_sensor(tmp_path / "mine.toml")
     height, width = sensor.shape
-    small = replace(sensor, shape=(height // 2, width // 2), mm_per_px=2 * sensor.mm_per_px)
+    small = replace(sensor, shape=(height // 3, width // 3), mm_per_px=3 * sensor.mm_per_px)
     # few and coarse: that each can be made is the question
     results = compare_designs(small, presses=8, tests=2)
     assert [result.name for result in results] == [variation.name for variation in VARIATIONS]

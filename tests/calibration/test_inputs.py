@@ -528,7 +528,8 @@ def test_a_dark_surround_is_named_with_the_crop_that_fits(presses):
 
 @pytest.mark.slow
 def test_a_calibration_with_a_dark_surround_says_so(presses):
-    report = gelform.calibrate(surrounded(presses)).report
+    framed = surrounded(presses.subset(range(6)))
+    report = gelform.calibrate(framed, color_model="polynomial", start=None).report
     assert [note for note in report.notes if "outside the gel" in note]
     assert not [note for note in report.notes if "Raise its light" in note]
     with pytest.raises(gelform.CalibrationError, match=r"--crop \d+"):

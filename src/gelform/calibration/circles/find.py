@@ -430,9 +430,11 @@ def _noise(pictures: Map, circles: Sequence[Circle | None]) -> Map:
     for one, circle in zip(size, circles):
         assert circle is not None
         one[distances_px(one.shape, *circle[:2]) < 1.2 * circle[2]] = np.nan
-    seen = np.isfinite(size[..., 0]).any(axis=0)
-    common = np.zeros(size.shape[1:], np.float32)
-    common[seen] = np.nanquantile(size[:, seen], 0.7, axis=0)
+    ordered = np.sort(size, axis=0)  # NaN last, so that np.nanquantile, which takes hundreds of times as long, is a look-up
+    last = np.isfinite(ordered).sum(axis=0, keepdims=True) - 1
+    at = np.maximum(0.7 * last, 0)
+    low, high = (np.take_along_axis(ordered, f(at).astype(int), axis=0) for f in (np.floor, np.ceil))
+    common = np.nan_to_num(low + (high - low) * (at % 1))[0].astype(np.float32)
     common = 1.4826 * cv2.GaussianBlur(common, (0, 0), 1.0)
     return np.sqrt(own**2 + (COMMON * np.clip(common - own, 0, None)) ** 2)
 
