@@ -3,13 +3,15 @@
 The calibration of a single unit, or of the only one whose scale is known, is used unchanged. For several units, a common
 color model and a common forward response are fitted to the samples of all: each brought to the mean light, and to the place
 where it lies in mm on the first unit's image. How far units differ is measured unit against unit: each one's own model reads
-the presses of the others.
+the presses of the others. Where no unit's scale is verified, the slopes of each have a free factor, by which each is read
+as much too large by the others as it reads them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -46,9 +48,6 @@ from presses import DATA, presses_of, unlabeled, with_circles
 
 FOLDER = Path(gelform.__file__).parent / "calibration" / "starters"
 RIDGE = 1e-3  # strength of that regularization: the middle one of the values that calibration tries
-# There are no presses of a second DIGIT. Spread of slopes: another unit's ball was read 10 % too large. The ratio of color
-# variances (see `color_variance`) is that of the two Minis before their places were equal in mm.
-SPREAD_OF_DIGITS, VARIANCE_OF_DIGITS = 0.10, 11.0
 LIKELY = (
     4.70 / 4.0
 )  # mini-d's ball: likely over stated diameter, because its contacts are as wide as those of 4.70 mm
@@ -59,12 +58,15 @@ REAL = {
         "(RuihanGao/16741-Proj-ShapeMap3D-GelSightMini, MIT)",
     },
     "digit": {
-        "digit-ball": "one DIGIT, 42 presses of a ball of 4.7 mm, scale not verified (Rancho-zhao/FOTS, MIT)"
+        "digit-ball": "a DIGIT, 42 presses of a ball of 4.7 mm, scale not verified (Rancho-zhao/FOTS, MIT)",
+        "digit-c": "a second one, 14 presses of a ball of 6.0 mm, scale not verified, for the scale and the "
+        "difference between units alone (vocdex/digit-depth)",
     },
 }
-# Sets that show how far units differ, and do not teach the model, because their scale is doubtful. With mini-d in the model,
-# an unseen Mini without a press was read with 1.92 degrees for 1.69, its radius with 5.9 % for 4.3.
-SPREAD_ONLY = {"mini-d"}
+SCALE_DOUBTED = {"digit"}
+# Sets that show how far units differ, and do not teach the model. The scale of mini-d is doubtful: with it in the model, an
+# unseen Mini without a press was read with 1.92 degrees for 1.69, its radius with 5.9 % for 4.3. digit-c has no license.
+SPREAD_ONLY = {"mini-d", "digit-c"}
 LAYOUT, UNITS = "three-edges", 4
 BALLS_MM, EACH = (4.0, 6.0), 16  # simulated presses: ball diameters, presses per ball
 
@@ -127,21 +129,27 @@ def of_units(
 ) -> Starter:
     """The starter of several units: common models of the first `teaching` ones, and how far one's is off on another."""
     own = [gelform.calibrate(unlabeled(one), start=None) for one in units]
-    alone = [starter_from_calibration(one, sensor, spread=SPREAD_OF_DIGITS, units=said) for one in own]
-    if len(units) == 1:
-        return replace(alone[0], color_variance=VARIANCE_OF_DIGITS)
+    alone = [starter_from_calibration(one, sensor, spread=1.0, units=said) for one in own]
     known = [with_circles(*pair) for pair in zip(units, own)]
-    pairs = [(one, presses) for one in alone for other, presses in zip(alone, known) if other is not one]
-    gains = np.array([np.mean(gains_on(*pair)) for pair in pairs])
-    spread = float(np.sqrt(np.mean(np.square(gains - 1))))
-    variance = float(np.mean([color_variance(*pair) for pair in pairs]))
-    if teaching == 1:
-        return replace(alone[0], spread=spread, color_variance=variance)
-    units, own, alone = units[:teaching], own[:teaching], alone[:teaching]
+    pairs = list(permutations(range(len(units)), 2))
+    gains = np.eye(
+        len(units)
+    )  # mean factor by which a unit's model (row) reads the slopes of another (column)
+    for a, b in pairs:
+        gains[a, b] = np.mean(gains_on(alone[a], known[b]))
+    scales, doubt = scales_of(gains) if sensor in SCALE_DOUBTED else (np.ones(len(units)), 0.0)
+    wrong = [gains[a, b] * scales[b] / scales[a] - 1 for a, b in pairs]
+    spread = float(np.hypot(np.sqrt(np.mean(np.square(wrong))), doubt))
+    count = teaching or len(units)
+    errors = [color_error(alone[a], known[b]) for a, b in pairs if a < count]
+    units, own, alone = units[:count], own[:count], alone[:count]
     first = alone[0].calibration
     light = np.mean([light_at_scale(one, first.known_mm_per_px) for one in alone], axis=0)
-    mean = replace(alone[0], light=light, spread=spread, color_variance=variance)
-    model, forward = common_models(units, own, replace(mean, color_variance=1.0))
+    mean = replace(alone[0], light=light, spread=spread)
+    known_scale = count == 1 and scales[0] == 1
+    model, forward = (
+        (first.color_model, first.forward) if known_scale else common_models(units, own, mean, scales)
+    )
     digests = tuple(digest for one in own for digest in one.training_digests)
     everything = replace(first, color_model=model, forward=forward, training_digests=digests)
     if sensor.startswith("simulated"):
@@ -149,7 +157,21 @@ def of_units(
     smooth = levels_from_light(
         light, *pixel_places(*(np.arange(n) for n in first.image_shape[::-1]), first.image_shape)
     )
-    return replace(mean, calibration=replace(everything, background=smooth))
+    # A pair of units differs by twice the variance of one, and one differs from the mean of n by 1 + 1/n of it.
+    noise = np.mean([one.forward.covariance for one in own], axis=0)
+    unseen = noise + (1 + 1 / count) / 2 * (np.mean(errors, axis=0) - noise)
+    variance = over(unseen, everything)
+    return replace(mean, calibration=replace(everything, background=smooth), color_variance=variance)
+
+
+def scales_of(gains: np.ndarray) -> tuple[np.ndarray, float]:
+    """Factors (n,) by which each unit's slopes are stated too large, and the relative deviation of their mean.
+
+    Only ratios of scales can be measured: the geometric mean of the factors is 1. `gains` (n, n) is how a unit's model (row)
+    reads the slopes of another (column).
+    """
+    logs = (np.log(gains) - np.log(gains.T)).mean(axis=1) / 2
+    return np.exp(logs), float(np.std(logs, ddof=1) / np.sqrt(len(logs)))
 
 
 def unit_of(starter: Starter, background: np.ndarray, mm_per_px: float | None = None) -> gelform.Calibration:
@@ -157,8 +179,13 @@ def unit_of(starter: Starter, background: np.ndarray, mm_per_px: float | None = 
     return starter.for_unit(background, mm_per_px=mm_per_px)
 
 
-def color_variance(starter: Starter, presses: Presses) -> float:
-    """Variance of the colors of labeled presses around the starter's response, over the variance that the response states.
+def over(error: np.ndarray, calibration: gelform.Calibration) -> float:
+    """A covariance of colors (3, 3) over the one that a calibration's forward response states."""
+    return float(np.trace(np.linalg.solve(calibration.forward.covariance, error)) / 3)
+
+
+def color_error(starter: Starter, presses: Presses) -> np.ndarray:
+    """Mean square (3, 3) of the colors of labeled presses around a starter's response.
 
     Measured in 0.6 of the circles, at the balls' slopes, with free centers.
     """
@@ -180,7 +207,7 @@ def color_variance(starter: Starter, presses: Presses) -> float:
             change[inside] - unit.forward.color_from_gradients(true, x[inside], y[inside], depth_px=z)
         )
     error = np.concatenate(left)
-    return float(np.trace(np.linalg.solve(unit.forward.covariance, error.T @ error / len(error))) / 3)
+    return error.T @ error / len(error)
 
 
 def gains_on(starter: Starter, presses: Presses) -> list[float]:
@@ -208,22 +235,25 @@ def light_at_scale(starter: Starter, mm_per_px: float) -> np.ndarray:
 
 
 def common_models(
-    units: Sequence[Presses], own: Sequence[gelform.Calibration], mean: Starter
+    units: Sequence[Presses], own: Sequence[gelform.Calibration], mean: Starter, scales: np.ndarray
 ) -> tuple[HierarchicalModel, ForwardResponse]:
-    """Color model and forward response of the samples of several units, all as they were on the first one's images."""
+    """Color model and forward response of the samples of several units, all as they were on the first one's images.
+
+    The slopes of each are divided by its factor in `scales` (n,).
+    """
     made, parts, deep = mean.calibration, [], []
     pressed = [pressed_of(presses, made.change.offset) for presses in units]
-    for presses, one in zip(units, pressed):
-        parts.append(as_first(training_samples(*one), mean, presses))
+    for presses, one, scale in zip(units, pressed, scales):
+        parts.append(as_first(training_samples(*one), mean, presses, scale))
     common = HierarchicalModel.fit(joined(parts), ridge=RIDGE)
-    for presses, one, calibration in zip(units, pressed, own):
+    for presses, one, calibration, scale in zip(units, pressed, own, scales):
         light = light_from_background(presses.background)
         model, _ = replace(mean, calibration=replace(made, color_model=common)).models_for(
             light, presses.mm_per_px
         )
         reader = SlopeReader(model, one[0][0], calibration.untouched_change)
         known = [replace(press, depth_px=reader.depth_px(press)) for press in one[0]]
-        deep.append(as_first(training_samples(known, one[1]), mean, presses))
+        deep.append(as_first(training_samples(known, one[1]), mean, presses, scale))
     samples = joined(deep)
     ridge = made.settings.step_ridge or RIDGES[0]
     (forward,) = ForwardResponse.fit_each(samples, [ridge], step_sigma=step_sigma_of(common, samples))
@@ -236,8 +266,11 @@ def pressed_of(presses: Presses, offset: float) -> tuple[list[PreparedPress], li
     return located.refined.of_accepted(prepared_with(located.presses, located.prepared, offset))
 
 
-def as_first(samples: Samples, mean: Starter, presses: Presses) -> Samples:
-    """Samples of a unit as they were on the first one's images, under the mean light: those that lie on them."""
+def as_first(samples: Samples, mean: Starter, presses: Presses, scale: float) -> Samples:
+    """Samples of a unit as they were on the first one's images, under the mean light: those that lie on them.
+
+    Their slopes are divided by `scale`.
+    """
     made, light = mean.calibration, light_from_background(presses.background)
     wider = presses.mm_per_px / made.known_mm_per_px
     nodes = gain_between(light, mean.light, made.change.offset, samples.shape, wider)
@@ -247,7 +280,7 @@ def as_first(samples: Samples, mean: Starter, presses: Presses) -> Samples:
     on = (np.abs(x - middle[0]) <= middle[0]) & (np.abs(y - middle[1]) <= middle[1])
     change = (samples.color_change * gain).astype(np.float32)
     columns = {"color_change": change, "x_px": x, "y_px": y}
-    columns |= {"gradients": samples.gradients, "weight": samples.weight}
+    columns |= {"gradients": samples.gradients / scale, "weight": samples.weight}
     if samples.depth_px is not None:
         columns["depth_px"] = wider * samples.depth_px
     return replace(

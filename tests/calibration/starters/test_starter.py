@@ -127,18 +127,20 @@ def test_the_spread_between_units_is_in_the_stated_deviations(layout, background
     np.testing.assert_array_equal(wide.depth_mm, narrow.depth_mm)
     slope = np.linalg.norm(narrow.gradients, axis=-1)
     expected = np.hypot(narrow.gradients_sigma[..., 0], calibration.unit_spread * slope)
-    np.testing.assert_allclose(wide.gradients_sigma[..., 0], expected, rtol=0.08)  # by slopes as read
+    np.testing.assert_allclose(wide.gradients_sigma[..., 0], expected, rtol=0.1)  # by slopes as read
     deep = narrow.depth_mm > 0.2
     added = np.sqrt(np.maximum(wide.depth_sigma_mm**2 - narrow.depth_sigma_mm**2, 0))[deep]
     ratio = added / (calibration.unit_spread * np.abs(narrow.depth_mm[deep]))
     assert 0.8 < ratio.min() < ratio.max() < 3, "with what steep faces miss it adds up before it is squared"
 
 
-def test_the_response_of_another_unit_is_known_less_well(background):
+@pytest.mark.parametrize("make", ["gelsight-mini", "digit"])
+def test_the_response_of_another_unit_is_known_less_well(make):
     """A step follows the colors of this unit less: they scatter more about the response of others than about its own."""
-    starter = load_starter(SIMULATED)
+    starter = load_starter(make)
     assert starter.color_variance > 2
-    own, unit = starter.calibration.forward.covariance, starter.for_unit(background).forward.covariance
+    made = starter.calibration
+    own, unit = made.forward.covariance, starter.for_unit(made.background).forward.covariance
     assert np.trace(np.linalg.solve(own, unit)) / 3 == pytest.approx(starter.color_variance, rel=0.2)
 
 
