@@ -37,8 +37,8 @@ SIZES = (3, 5, 8, 12, 20, 33)
 FACTORS = (0.5, 0.8, 1.0, 1.2, 1.25, 2.0)
 SETS = ("mini-ball", "mini-d", "digit-ball", "gelslim", "gelslim-dots", "gelsight-ball-deep")
 PAIRS = {"digit-c": "digit-ball", "digit-ball": "digit-c", "mini-d": "mini-ball", "mini-ball": "mini-d"}
-FEW, TEST = (5, 7), 10  # presses that calibrate, and at most so many others that judge
-SHARES = ("within_sigma_percent", "sure_inner_percent")
+FEW, TEST = (5, 7, 9), 10  # presses that calibrate, and at most so many others that judge
+SHARES = ("within_sigma_percent", "within_2_sigma_percent", "sure_inner_percent", "off_stated_um")
 SHOWN = (*KEYS, *SHARES)
 UNSEEN = 11  # number of a simulated unit outside the starter
 
@@ -56,8 +56,12 @@ def judged(calibration: gelform.Calibration, presses: Presses, edge: float) -> d
         result = reconstruct.from_image(press.image)
         rows.append(scored((press, result), press.label, pitch, edge))
         _, off, _ = slopes_inside(press, result, edge)
-        within.append(((off <= 1).mean(), sure_inner(result, press)))
-    return {**summary(rows), **dict(zip(SHARES, 100 * np.mean(within, axis=0)))}
+        y, x = np.ogrid[: result.depth_mm.shape[0], : result.depth_mm.shape[1]]
+        far = np.hypot(x - press.label[0], y - press.label[1]) > 2.5 * press.label[2]
+        stated = 1e3 * float(np.sqrt(np.square(result.depth_sigma_mm[far]).mean())) if far.any() else np.nan
+        shares = 100 * (off <= 1).mean(), 100 * (off <= 2).mean(), 100 * sure_inner(result, press)
+        within.append((*shares, stated))
+    return {**summary(rows), **dict(zip(SHARES, np.nanmean(within, axis=0)))}
 
 
 def units() -> dict[str, Any]:

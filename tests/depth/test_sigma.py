@@ -145,6 +145,18 @@ def test_steep_slopes_may_miss_depth_and_are_named_where_that_is_most():
     assert steep_finding(*rows, replace(found, gain_sigma=1.0)) == (), "the rest is as uncertain"
 
 
+def test_gel_at_rest_beside_steep_faces_is_at_0_and_a_plateau_is_as_wrong_as_its_walls():
+    """A flat face has the color of rest. One wall of two is doubted, as where presses have shown one side alone."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    across = np.hypot(x - 80, y - 60)
+    depth = np.clip((34 - across) / 10, 0, 1).astype(np.float32)
+    wall = (across > 22) & (across < 36)
+    found = errors_of(depth, ~wall, steep=0.6 * (wall & (x > 80)), factor=1e-3)
+    common = found.coarse.at_pixels(found.common_mm)
+    assert np.abs(common[across > 44]).max() < 1e-6
+    assert np.abs(common[across < 18]).mean() > 0.1
+
+
 def test_what_all_depths_share_is_no_error_of_their_difference():
     rough = 1e-3 * np.random.default_rng(0).normal(size=SHAPE)
     depth, at_rest = bump(0.5) + rough, bump(1.0) < 0.01

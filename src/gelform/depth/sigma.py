@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
+import cv2
 import numpy as np
 
 from gelform._native import Kernel, is_finite
@@ -19,7 +20,7 @@ from gelform.arrays import Array, Floats, Map, Mask, Slopes
 from gelform.depth.coarse import Coarse, coarse_of
 from gelform.depth.solvers.dct import CosineFilter
 from gelform.errors import ConvergenceError, Finding
-from gelform.foundations.filters import SIGMA_OF_MEDIAN, bessel_k, medians_where
+from gelform.foundations.filters import SIGMA_OF_MEDIAN, bessel_k
 
 # Parts of the image's height: the influence's length L, and the standard deviation of the window for negative depths. Depth
 # off contact is covered alike with half and twice of either, on twelve real sets.
@@ -171,7 +172,13 @@ class DepthErrors:
 
     def _integrated(self, slopes: Slopes) -> Map:
         depth = self.coarse.depth_px(np.ascontiguousarray(np.moveaxis(slopes, 0, -1)))
-        depth -= medians_where(depth[..., None], self.slopes_off[4] > 0.5)[0]
+        # The largest part at rest is where depth is 0, whatever faces beside it are. One behind walls, as the top of a
+        # punch, is as wrong as they are.
+        parts, labels = cv2.connectedComponents((self.slopes_off[4] > 0.5).view(np.uint8), connectivity=4)
+        if parts > 1:
+            largest = labels == 1 + np.bincount(labels.ravel())[1:].argmax()
+            depth -= np.median(depth[largest])
+            depth[largest] = 0
         return depth * self.mm_per_px
 
 
