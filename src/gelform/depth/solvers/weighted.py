@@ -143,8 +143,8 @@ class Grid:
             raise ConvergenceError(
                 f"Expected depth to within {tolerance:.1e} of its range, got an estimated error of "
                 f"{error:.1e} after {done} iterations. Very long channels one pixel wide in the mask can "
-                "do this, and so does a tolerance below 1e-6, where float32 ends: open them, use "
-                "solver='sparse', or allow more iterations."
+                "do this, and so does a tolerance below 1e-6, where float32 ends: open them, or give "
+                "integrate solver='sparse' or more iterations."
             )
         return depth, done, error
 
