@@ -11,7 +11,9 @@ import pytest
 
 import gelform
 from gelform.batch import BatchSettings, run_batch, verify_output
-from gelform.batch.containers import (
+from gelform.batch.inputs import listing_of
+from gelform.errors import DataError
+from gelform.sensors.containers import (
     blocks,
     container_values,
     films_in_container,
@@ -24,8 +26,6 @@ from gelform.batch.containers import (
     stored_images,
     video_frames,
 )
-from gelform.batch.inputs import listing_of
-from gelform.errors import DataError
 from gelform.sensors.pictures import image_from_values
 from made.files import as_parquet, encoded
 

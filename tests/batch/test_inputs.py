@@ -9,7 +9,6 @@ import pytest
 import gelform
 from gelform import DataError, Frame
 from gelform.batch import run_batch
-from gelform.batch.containers import FilmRef
 from gelform.batch.inputs import (
     Listing,
     backgrounds_of,
@@ -19,6 +18,7 @@ from gelform.batch.inputs import (
     shard_of,
 )
 from gelform.batch.records import read_manifest
+from gelform.sensors.containers import FilmRef
 from gelform.sensors.mcap import McapRecording
 from gelform.sensors.playback import RecordingFacts
 

@@ -6,7 +6,7 @@ import glob
 import hashlib
 import os
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice, takewhile
 from pathlib import Path
@@ -15,30 +15,28 @@ from typing import Any
 from numpy.typing import NDArray
 
 from gelform import Calibration, background_from_frames
-from gelform.batch.containers import (
-    NODES,
-    ContainerError,
-    FilmRef,
-    container_values,
-    films_in_container,
-    films_in_lerobot_set,
-    is_container,
-    is_lerobot_set,
-    lossy_warnings,
-    natural,
-    stored_images,
-    video_frames,
-)
 from gelform.calibration.presses.press_set import file_of, table_rows
 from gelform.errors import DataError, GelformError, cannot, reason
 from gelform.foundations.checks import check_image, check_path
 from gelform.foundations.files import way_for
 from gelform.image.agreement import background_digest
-from gelform.image.view import MAX_PIXELS, Frame, image_from_frame, in_rgb
-from gelform.sensors.files import FILM_SUFFIXES, is_stack, read_background, read_image
-from gelform.sensors.films import open_film
+from gelform.image.view import MAX_PIXELS, Frame, image_from_frame
+from gelform.sensors.containers import (
+    NODES,
+    ContainerError,
+    FilmRef,
+    films_in_container,
+    films_inside,
+    is_container,
+    is_data_set,
+    is_lerobot_set,
+    lossy_warnings,
+    natural,
+)
+from gelform.sensors.files import FILM_SUFFIXES, is_stack, read_background
+from gelform.sensors.films import film_of
 from gelform.sensors.mcap import end_missing, refuse_bag
-from gelform.sensors.pictures import IMAGE_SUFFIXES, image_from_values
+from gelform.sensors.pictures import IMAGE_SUFFIXES
 
 
 @dataclass(frozen=True)
@@ -51,12 +49,14 @@ class Listing:
     sequences : in the order of the work
     searched : whether every folder below `root` belongs to the input
     warnings : messages about the input for the user
+    bgr : whether its frames are blue, green, red, as OpenCV writes an array
     """
 
     root: Path
     sequences: tuple[FilmRef, ...]
     searched: bool = False
     warnings: tuple[str, ...] = ()
+    bgr: bool = False
 
     @property
     def digest(self) -> str:
@@ -90,11 +90,11 @@ def listing_of(
         The source is missing, unreadable, or contains no frames.
     """
     path, hidden = check_path(source), {os.path.realpath(one) for one in leave_out}
-    if is_lerobot_set(path):
-        episodes = tuple(films_in_lerobot_set(path, dataset))
-        return Listing(path, episodes, searched=True, warnings=lossy_warnings(path, episodes))
-    if path.exists() and is_container(path):
-        return Listing(path.parent, tuple(films_in_container(path, path.name, dataset)))
+    if path.exists() and is_data_set(path):
+        inside = tuple(films_inside(path, path.name, dataset))
+        if is_lerobot_set(path):
+            return Listing(path, inside, searched=True, warnings=lossy_warnings(path, inside))
+        return Listing(path.parent, inside)
     absolute = Path(os.path.abspath(path))
     root, searched = absolute.parent, False
     if path.is_dir():
@@ -204,7 +204,6 @@ class Part:
     count: int = 0  # 0 if not counted yet
     names: tuple[str, ...] = ()  # of each image's output, without ending
     first: tuple[str, ...] = ()  # the first images of the film, if they make its background
-    bgr: bool = False  # whether its channels are in the order blue, green, red
 
     def name_of(self, index: int) -> str:
         """Name of a frame's output, without ending, by its position in the film."""
@@ -232,7 +231,7 @@ class Part:
         return sha.hexdigest()
 
 
-def plan_of(listing: Listing, part_frames: int, background_frames: int = 0, bgr: bool = False) -> list[Part]:
+def plan_of(listing: Listing, part_frames: int, background_frames: int = 0) -> list[Part]:
     """All parts with at most `part_frames` frames, in the order of the listing, with the first images for a background.
 
     A video, a recording or an unreadable dataset is one part. An image's output has the file's stem, if that is unique in
@@ -245,9 +244,9 @@ def plan_of(listing: Listing, part_frames: int, background_frames: int = 0, bgr:
         names = [one if counts[stem] > 1 else stem for one, stem in zip(film.images, stems)]
         for start in range(0, max(1, film.count), part_frames):
             stop = min(start + part_frames, film.count)
-            piece = replace(film, images=film.images[start:stop])
+            piece = replace(film, images=film.images[start:stop], bgr=listing.bgr)
             first = film.images[:background_frames]
-            parts.append(Part(len(parts), piece, start, stop - start, tuple(names[start:stop]), first, bgr))
+            parts.append(Part(len(parts), piece, start, stop - start, tuple(names[start:stop]), first))
     return parts
 
 
@@ -268,37 +267,15 @@ def frames_of_part(
     """
     index = part.start
     try:
-        for frame in _frames(part, most_pixels):
-            yield index, in_rgb(frame) if part.bgr and isinstance(frame, Frame) else frame
+        film = film_of(part.film, most_pixels)
+        for frame in film.each(
+            0 if part.film.images else part.start, part.count
+        ):  # it has this part's images alone
+            yield index, frame
             index += 1
     except (GelformError, OSError, MemoryError) as problem:
         for missed in range(index, max(part.start + part.count, index + 1)):
             yield missed, problem
-
-
-def _frames(part: Part, most_pixels: float) -> Iterator[Frame | BaseException]:
-    film, start, count = part.film, part.start, part.count
-    stored: Iterable[tuple[float, Any]]  # time, s, and what an image is made from
-    if film.images:
-        stored = ((0.0, film.path / one) for one in film.images)
-    elif not film.dataset:
-        yield from open_film(film.path)
-        return
-    elif film.path.suffix == ".mp4":
-        stored = video_frames(film.path, film.offset, start, count)
-    elif film.path.suffix == ".parquet":
-        stored = stored_images(film.path, film.dataset, film.offset, start, count)
-    else:
-        values = container_values(film.path, film.dataset, film.offset + start, count)
-        stored = ((0.0, one) for one in values)
-    image_from: Callable[..., NDArray[Any]] = read_image if film.images else image_from_values
-    for index, (time_s, one) in enumerate(stored, start):
-        frame: Frame | BaseException
-        try:
-            frame = Frame(image_from(one, most_pixels=most_pixels), time_s, 0, index)
-        except (GelformError, MemoryError) as problem:
-            frame = problem
-        yield frame
 
 
 def image_of_calibration(frame: Frame, calibration: Calibration) -> NDArray[Any]:
@@ -319,9 +296,9 @@ def background_of_film(part: Part, count: int, calibration: Calibration) -> NDAr
     return _average([image_of_calibration(one, calibration) for one in frames])
 
 
-def frame_at_rest(listing: Listing, count: int, bgr: bool) -> NDArray[Any]:
+def frame_at_rest(listing: Listing, count: int) -> NDArray[Any]:
     """The same of the first sequence's frames as the camera gave them."""
-    return _average([one.image for one in _first_frames(plan_of(listing, 1, count, bgr)[0], count)])
+    return _average([one.image for one in _first_frames(plan_of(listing, 1, count)[0], count)])
 
 
 def _first_frames(part: Part, count: int, most_pixels: float = MAX_PIXELS) -> list[Frame]:

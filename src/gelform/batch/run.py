@@ -512,15 +512,16 @@ def run_batch(
         raise DataError("Expected --background or --background-frames, got both. Leave one out.")
     backgrounds = backgrounds_of(None if background is None else check_path(background))
     listing = listing_of(source, leave_out=backgrounds.files, dataset=dataset)
+    listing = replace(listing, bgr=settings.bgr)
     check_apart(listing, output)
     if starter is not None and given is None:
-        given = _with_scale(starter(frame_at_rest(listing, settings.background_frames, settings.bgr)))
+        given = _with_scale(starter(frame_at_rest(listing, settings.background_frames)))
     calibration = given or _with_scale(_choose_calibration(listing, output, options.overwrite, chosen))
     names = [sequence.name for sequence in listing.sequences]
     check_names(names, settings)
     if settings.form == "lerobot":
         check_lerobot_source(listing.root, {sequence.dataset for sequence in listing.sequences})
-    plan = plan_of(listing, settings.frames_in_a_part, settings.background_frames, settings.bgr)
+    plan = plan_of(listing, settings.frames_in_a_part, settings.background_frames)
     parts = shard_of(plan, options.shard)
     untouched, digest = backgrounds.read(names, calibration)
     _check_size(plan, calibration)

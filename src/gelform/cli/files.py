@@ -252,8 +252,8 @@ class Inputs:
 
     def images_or_film(self, paths: Sequence[Path], dataset: str = "") -> tuple[list[Path], Path | None]:
         """The images of files, folders and patterns; or the one video, recording or file of several images among them."""
-        from gelform.batch.containers import is_container
         from gelform.batch.inputs import listing_of
+        from gelform.sensors.containers import is_container
         from gelform.sensors.files import FILM_SUFFIXES, is_stack
 
         images: list[Path] = []

@@ -1,19 +1,21 @@
-"""The kinds of films, and opening one: folders and files of images, videos, recordings."""
+"""The kinds of films, and opening one: folders and files of images, videos, recordings, data sets."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Container, Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from gelform.errors import DataError
+from gelform.errors import DataError, GelformError
 from gelform.foundations.checks import check_path, check_positive
 from gelform.foundations.files import way_for
 from gelform.image.view import Frame
+from gelform.sensors.containers import OF_DATA_SETS, FilmRef, films_inside, is_data_set, values_of
 from gelform.sensors.files import (
     FILM_SUFFIXES,
     images_of_stack,
@@ -22,23 +24,30 @@ from gelform.sensors.files import (
     read_image,
 )
 from gelform.sensors.mcap import Recording, is_bag_folder
-from gelform.sensors.pictures import IMAGE_SUFFIXES
+from gelform.sensors.pictures import IMAGE_SUFFIXES, image_from_values
 from gelform.sensors.playback import USUAL_RATE_HZ, Film, RecordingFacts
 
 
-def open_film(path: Path, *, rate_hz: float | None = None, bgr: bool = False, scan: bool = False) -> Film:
-    """Open a folder of images, a file of several, a video or a recording (*.mcap, or a rosbag2 folder).
+def open_film(
+    path: Path, *, dataset: str = "", rate_hz: float | None = None, bgr: bool = False, scan: bool = False
+) -> Film:
+    """Open a folder of images, a file of several, a video, a recording (*.mcap, or a rosbag2 folder) or a data set.
 
-    Images come at `rate_hz` per second, or as blue, green, red with `bgr`. With `scan` it is scanned now, so that a damaged
-    or empty one is refused.
+    Of an HDF5 file, a Zarr store or a LeRobot data set, the frames that `dataset` names (see `films_inside`) come one film
+    after the other. Images come at `rate_hz` per second, or as blue, green, red with `bgr`. With `scan` it is scanned now,
+    so that a damaged or empty one is refused.
 
     DataError: it is missing, damaged, of an unknown kind, or without a frame.
     """
     film: Film
-    if path.suffix.lower() == ".mcap" or is_bag_folder(path):
+    if is_data_set(path) and path.exists():
+        film = Stored(path, films_inside(path, path.name, dataset), rate_hz)
+    elif dataset:
+        raise DataError(f"{OF_DATA_SETS} ({dataset}); got {path}. Leave it out.")
+    elif path.suffix.lower() == ".mcap" or is_bag_folder(path):
         film = Recording(path)
     elif path.is_dir() or is_stack(path):
-        film = Images(path, rate_hz or USUAL_RATE_HZ)
+        film = Images(path, rate_hz)
     elif is_video(path):
         film = Video(path)
     else:
@@ -46,6 +55,18 @@ def open_film(path: Path, *, rate_hz: float | None = None, bgr: bool = False, sc
     film.bgr = bgr
     if scan and not film.times_s:
         raise DataError(f"{path} holds no frame.")
+    return film
+
+
+def film_of(listed: FilmRef, most_pixels: float) -> Film:
+    """Open a film that was listed; pictures of more pixels are not decoded. Errors as in `open_film`."""
+    if listed.dataset:
+        film: Film = Stored(listed.path, [listed])
+    elif listed.images:
+        film = Images(listed.path, names=listed.images)
+    else:
+        film = open_film(listed.path)
+    film.bgr, film.most_pixels = listed.bgr, most_pixels
     return film
 
 
@@ -74,21 +95,73 @@ class Images(Film):
     DataError: the folder contains no image; in a loop: an image cannot be read.
     """
 
-    def __init__(self, path: Path, rate_hz: float) -> None:
-        rate = check_positive(rate_hz, "rate_hz")
-        super().__init__(path, RecordingFacts(path.resolve().name, rate_hz=rate))
+    def __init__(self, path: Path, rate_hz: float | None = None, names: Sequence[str] = ()) -> None:
+        super().__init__(path, _evenly(path, rate_hz))
         if path.is_file():
             self._image, self.count = images_of_stack(path)
-        else:
-            files = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
-            if not files:
-                raise DataError(
-                    f"Expected images ({', '.join(IMAGE_SUFFIXES)}) in the folder {path}, got none."
-                )
-            self._image, self.count = lambda number: read_image(files[number]), len(files)
+            return
+        here = (file.name for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+        files = names or sorted(here)
+        if not files:
+            raise DataError(f"Expected images ({', '.join(IMAGE_SUFFIXES)}) in the folder {path}, got none.")
+        self._image = lambda number: read_image(path / files[number], most_pixels=self.most_pixels)
+        self.count = len(files)
+
+    def _each(self, start: int, count: int) -> Iterator[Frame | BaseException]:
+        for number in range(start, start + count):
+            try:
+                yield self._frame(number)
+            except (GelformError, MemoryError) as problem:
+                yield problem
 
     def _frame(self, number: int) -> Frame:
         return Frame(self._image(number), self.times_s[number], 0, number)
+
+
+class Stored(Film):
+    """The frames of one film after the other in an HDF5 file, a Zarr store or a LeRobot data set, evenly spaced in time.
+
+    DataError: the data set cannot be read; in a loop: a frame cannot.
+    """
+
+    def __init__(self, path: Path, films: Sequence[FilmRef], rate_hz: float | None = None) -> None:
+        super().__init__(path, _evenly(path, films[0].rate_hz or rate_hz))
+        self._films, self.count = films, sum(film.count for film in films)
+        self._ahead: Iterator[Frame | BaseException] = iter(())
+        self._next = -1  # number of the first frame ahead: the next one is not looked for
+
+    def _each(self, start: int, count: int) -> Iterator[Frame | BaseException]:
+        """As `each`, with the time that is stored, in its film."""
+        number, stop = start, start + count
+        for film in self._films:
+            begin, end = max(start, 0), min(stop, film.count)
+            start, stop = start - film.count, stop - film.count
+            if begin >= end and film.count:
+                continue
+            for time_s, values in values_of(film, begin, end - begin):
+                found: Frame | BaseException
+                try:
+                    found = Frame(image_from_values(values, self.most_pixels), time_s, 0, number)
+                except (GelformError, MemoryError) as problem:
+                    found = problem
+                yield found
+                number += 1
+
+    def _frame(self, number: int) -> Frame:
+        number = range(self.count)[number]
+        ahead = self._ahead if number == self._next else self._each(number, self.count - number)
+        self._next = -1
+        found = next(ahead)
+        self._ahead, self._next = ahead, number + 1
+        if isinstance(found, BaseException):
+            raise found
+        return replace(found, time_s=self.times_s[number])
+
+
+def _evenly(path: Path, rate_hz: float | None) -> RecordingFacts:
+    """The facts of frames without times, which come `rate_hz` per second."""
+    rate_hz = check_positive(USUAL_RATE_HZ if rate_hz is None else rate_hz, "rate_hz")
+    return RecordingFacts(path.resolve().name, rate_hz=rate_hz)
 
 
 class Video(Film):
@@ -122,8 +195,7 @@ class Video(Film):
         capture.release()
         super().__init__(self.path, RecordingFacts(self.path.name, settings=settings, rate_hz=rate_hz))
 
-    def frames(self, only: Container[int] | None = None) -> Iterator[Frame]:
-        """The frames, or those with an index in `only`; the others are not decoded."""
+    def _read(self, only: Container[int] | None = None) -> Iterator[Frame]:
         capture = self._opened()
         index = 0
         try:
@@ -143,8 +215,6 @@ class Video(Film):
                 f"{self.path} ends after {index} of {self.count} frames: truncated or damaged. "
                 "Copy or record it again."
             )
-
-    _read = frames
 
     def _opened(self) -> cv2.VideoCapture:
         if not self.path.is_file():

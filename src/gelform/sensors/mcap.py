@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import struct
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
@@ -478,12 +478,13 @@ class Recording(Film):
             lambda offset: list(self._wanted(next(records_from(self._file, offset))[1]))
         )
 
-    def _read(self) -> Iterator[Frame]:
+    def _read(self, only: Container[int] | None = None) -> Iterator[Frame]:
         first_ns: int | None = None
         messages = chain.from_iterable(self._wanted(inside) for _, inside in records_from(self._file))
         for number, message in enumerate(messages):
             first_ns = message.log_time if first_ns is None else first_ns
-            yield self._frame_of(message, (message.log_time - first_ns) / 1e9, number)
+            if only is None or number in only:
+                yield self._frame_of(message, (message.log_time - first_ns) / 1e9, number)
 
     @cached_property
     def times_s(self) -> Sequence[float]:

@@ -6,9 +6,10 @@ import json
 import threading
 import time
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from threading import Lock
 from typing import Any, TypeVar
@@ -16,7 +17,7 @@ from typing import Any, TypeVar
 from gelform.arrays import Image
 from gelform.errors import DataError, GelformError, said
 from gelform.foundations.files import FAST_PNG, picture_bytes
-from gelform.image.view import Frame, in_rgb
+from gelform.image.view import MAX_PIXELS, Frame, in_rgb
 from gelform.sensors.pictures import JPEG, check_declared, image_from_bytes, image_from_jpeg
 
 Own = TypeVar("Own", bound="Closing")
@@ -113,26 +114,46 @@ class Film:
 
     count = 0  # number of frames that it states, or 0; a damaged file may hold fewer
     bgr = False  # whether its frames are blue, green, red; they come in RGB
+    most_pixels: float = MAX_PIXELS  # larger pictures are not decoded
 
     def __init__(self, path: Path, camera: RecordingFacts) -> None:
         self.path, self.camera = path, camera
         self._alone = Lock()  # decoders keep their place, and a film may be shared while it plays
 
     def __iter__(self) -> Iterator[Frame]:
-        return map(in_rgb, self._read()) if self.bgr else self._read()
+        return self.frames()
 
     def __getitem__(self, number: int) -> Frame:
         """The frame of a number from 0; DataError if it is damaged."""
         with self._alone:
-            return in_rgb(self._frame(number)) if self.bgr else self._frame(number)
+            return self._in_rgb(self._frame(number))
+
+    def frames(self, only: Container[int] | None = None) -> Iterator[Frame]:
+        """The frames, or those with a position in `only`; most films do not decode the others."""
+        return map(self._in_rgb, self._read(only))
+
+    def each(self, start: int = 0, count: int = 0) -> Iterator[Frame | BaseException]:
+        """The frames of a range (0: to the end), or in the place of one its error; raises where nothing more can be read."""
+        return map(self._in_rgb, self._each(start, count or self.count - start))
+
+    def _in_rgb(self, found: Any) -> Any:
+        """A frame in RGB; errors unchanged."""
+        return in_rgb(found) if self.bgr and isinstance(found, Frame) else found
 
     @cached_property
     def times_s(self) -> Sequence[float]:
         """Time of each frame, counted from the first, increasing; asking for it scans the file."""
         return tuple(number / (self.camera.rate_hz or USUAL_RATE_HZ) for number in range(self.count))
 
-    def _read(self) -> Iterator[Frame]:
-        return map(self._frame, range(self.count))
+    def _read(self, only: Container[int] | None = None) -> Iterator[Frame]:
+        for number in range(self.count):
+            if only is None or number in only:
+                with self._alone:
+                    frame = self._frame(number)
+                yield frame
+
+    def _each(self, start: int, count: int) -> Iterator[Frame | BaseException]:
+        return islice(self._read(), start, None)
 
     def _frame(self, number: int) -> Frame:
         raise NotImplementedError

@@ -26,7 +26,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.batch.containers import EPISODE_TABLES, INFO, STATS, lerobot_info
 from gelform.batch.outputs.files import (
     FRAMES,
     PARTS,
@@ -47,6 +46,7 @@ from gelform.robots.lerobot_depth import (
     depth_from_lerobot_levels,
     lerobot_levels_from_depth,
 )
+from gelform.sensors.containers import EPISODE_TABLES, INFO, STATS, lerobot_info
 
 SUFFIX = "_depth"  # the depth feature's name ends so, after the camera's
 AXES = ("x_n", "y_n", "z_n")  # of a force, along the image's axes and away from the camera

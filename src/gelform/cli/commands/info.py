@@ -186,9 +186,9 @@ def _file(path: Path) -> dict[str, Any]:
         return _result(path)
     if path.suffix.lower() == ".mcap":
         return _recording(path)
-    from gelform.batch.containers import is_container
     from gelform.calibration.presses.folder import TAXIM, VIDEO, kind_of_presses
     from gelform.calibration.presses.press_set import table_rows
+    from gelform.sensors.containers import is_container
     from gelform.sensors.files import images_of_stack, is_stack, read_toml
     from gelform.sensors.pictures import IMAGE_SUFFIXES
 
@@ -229,7 +229,7 @@ def _file(path: Path) -> dict[str, Any]:
 
 def _data_set(path: Path) -> dict[str, Any]:
     """The datasets of frames in an HDF5 file or a Zarr store, or the cameras of a LeRobot data set."""
-    from gelform.batch.containers import frames_inside, is_lerobot_set, is_zarr
+    from gelform.sensors.containers import frames_inside, is_lerobot_set, is_zarr
 
     kind = "LeRobot data set" if is_lerobot_set(path) else "Zarr store" if is_zarr(path) else "HDF5 file"
     return {"kind": kind, "frames": frames_inside(path) or "no dataset of frames (N, H, W, 3)"}
@@ -308,8 +308,8 @@ def _video(path: Path) -> dict[str, Any]:
 
 def _folder(path: Path) -> dict[str, Any]:
     """The facts of a bag or presses; for any other folder, the files that would make it a press folder."""
-    from gelform.batch.containers import is_container, is_lerobot_set
     from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses, rows_by_folder
+    from gelform.sensors.containers import is_container, is_lerobot_set
     from gelform.sensors.files import likely_background
     from gelform.sensors.mcap import is_bag_folder
     from gelform.sensors.pictures import IMAGE_SUFFIXES

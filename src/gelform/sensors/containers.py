@@ -21,6 +21,7 @@ BLOCK_FRAMES = 64  # limit of one read
 MAX_FRAMES = 10**7  # of a sequence: two days at 60 per second; more is a damaged number
 DAMAGED = (OSError, ValueError, RuntimeError)  # errors of h5py and zarr for a chunk that cannot be decoded
 NODES = (".zgroup", ".zarray", "zarr.json")  # metadata in the folder of a Zarr group or array
+OF_DATA_SETS = "--dataset is of HDF5 files, Zarr stores and LeRobot data sets"
 ENDS = "meta/episode_ends"  # next to data/CAMERA, in the layout of diffusion policies
 
 
@@ -38,6 +39,7 @@ class FilmRef:
     count : number of frames; 0 for a video or a recording, which are not counted yet, and for an unreadable file, whose
         reading gives the error
     rate_hz : frames per second of LeRobot's episodes; otherwise 0
+    bgr : whether its frames are blue, green, red, as OpenCV writes an array
     """
 
     name: str
@@ -47,6 +49,7 @@ class FilmRef:
     offset: int = 0
     count: int = 0
     rate_hz: int = 0
+    bgr: bool = False
 
     def __post_init__(self) -> None:
         if self.dataset and self.count > MAX_FRAMES:
@@ -156,6 +159,11 @@ def is_container(path: Path) -> bool:
     return path.suffix.lower() in (".h5", ".hdf5") or is_zarr(path)
 
 
+def is_data_set(path: Path) -> bool:
+    """Whether a path is an HDF5 file, a Zarr store or a LeRobot data set."""
+    return is_container(path) or is_lerobot_set(path)
+
+
 def films_in_container(path: Path, name: str, wanted: str) -> list[FilmRef]:
     """The film of each matching dataset, or of each episode of a Zarr store's, in natural order.
 
@@ -202,6 +210,22 @@ def frames_inside(path: Path) -> list[str]:
         return _in_words(_cameras_in(lerobot_info(path)))
     with _opened(path) as group:
         return _in_words(_datasets_in(group)[1])
+
+
+def films_inside(path: Path, name: str, wanted: str) -> list[FilmRef]:
+    """The films of an HDF5 file, a Zarr store or a LeRobot data set that match a pattern; DataError if none does."""
+    return (
+        films_in_lerobot_set(path, wanted) if is_lerobot_set(path) else films_in_container(path, name, wanted)
+    )
+
+
+def values_of(film: FilmRef, start: int, count: int) -> Iterator[tuple[float, NDArray[Any] | DataError]]:
+    """Time in the film, s, and what an image is made from or why there is none, for each frame of a range of a dataset."""
+    if film.path.suffix == ".mp4":
+        return video_frames(film.path, film.offset, start, count)
+    if film.path.suffix == ".parquet":
+        return stored_images(film.path, film.dataset, film.offset, start, count)
+    return ((0.0, one) for one in container_values(film.path, film.dataset, film.offset + start, count))
 
 
 def container_values(path: Path, dataset: str, start: int, count: int) -> Iterator[NDArray[Any] | DataError]:
