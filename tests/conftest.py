@@ -29,6 +29,8 @@ from gelform.simulate import (
     simulate_press,
 )
 from kernel_agreement import usable_isas
+from made.files import EPISODES, write_lerobot_set
+from made.small_gel import Touch, image_of
 from made.sources import video_file
 from made_once import MadeOnce
 
@@ -223,3 +225,32 @@ def forms(frames, tmp_path_factory):
     recording.close()
     video = video_file(base / "c.avi", [frame.image for frame in frames], "FFV1", RATE_HZ)
     return {"mcap": base / "a.mcap", "video": video, "images": base / "d"}
+
+
+@pytest.fixture(scope="session")
+def images():
+    """Images of touches at several depths in an exactly known gel."""
+    return [image_of(Touch(depth_mm=0.2 + 0.05 * k, seed=k)) for k in range(4)]
+
+
+@pytest.fixture
+def lerobot(tmp_path, images):
+    """A LeRobot data set with the same touches as a video and as images in its tables; gives the folder and the frames.
+
+    The video holds all episodes, the second table the last one.
+    """
+    pytest.importorskip("av", reason="the extra data is not installed")
+    pytest.importorskip("pyarrow", reason="the extra data is not installed")
+    root, frames = tmp_path / "set", [images[k % len(images)] for k in range(sum(EPISODES))]
+    write_lerobot_set(root, frames)
+    return root, frames
+
+
+@pytest.fixture
+def h5py():
+    return pytest.importorskip("h5py", reason="the extra data is not installed")
+
+
+@pytest.fixture
+def zarr():
+    return pytest.importorskip("zarr", minversion="3", reason="the extra data is not installed")

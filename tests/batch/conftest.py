@@ -12,18 +12,10 @@ from gelform.batch.inputs import Part
 from gelform.batch.outputs.files import PartTarget
 from gelform.batch.outputs.writers import WRITERS
 from made import files
-from made.files import EPISODES, write_lerobot_set
-from made.small_gel import MM_PER_PX, SHAPE, Touch, calibration, image_of, save
+from made.small_gel import MM_PER_PX, SHAPE, calibration, image_of, save
 from made.sources import video_file
 
-COUNT = 4  # images in each folder
 WRITTEN = 5  # frames of a part that is written
-
-
-@pytest.fixture(scope="session")
-def images():
-    """Images of touches at several depths."""
-    return [image_of(Touch(depth_mm=0.2 + 0.05 * k, seed=k)) for k in range(COUNT)]
 
 
 @pytest.fixture
@@ -64,19 +56,6 @@ def visible():
 
 
 @pytest.fixture
-def lerobot(tmp_path, images):
-    """A LeRobot data set with the same touches as a video and as images in its tables; gives the folder and the frames.
-
-    The video holds all episodes, the second table the last one.
-    """
-    pytest.importorskip("av", reason="the extra data is not installed")
-    pytest.importorskip("pyarrow", reason="the extra data is not installed")
-    root, frames = tmp_path / "set", [images[k % len(images)] for k in range(sum(EPISODES))]
-    write_lerobot_set(root, frames)
-    return root, frames
-
-
-@pytest.fixture
 def two_lights(tmp_path):
     """Two sequences of an untouched gel, the second under a brighter red light; their backgrounds lie among them."""
     for name, factor in (("a", 1), ("b", np.array([1.1, 1, 1]))):
@@ -85,16 +64,6 @@ def two_lights(tmp_path):
         for one in ("0.png", "rest.png"):
             save(tmp_path / "in" / name / one, image)
     return tmp_path / "in"
-
-
-@pytest.fixture
-def h5py():
-    return pytest.importorskip("h5py", reason="the extra data is not installed")
-
-
-@pytest.fixture
-def zarr():
-    return pytest.importorskip("zarr", minversion="3", reason="the extra data is not installed")
 
 
 @pytest.fixture(scope="session")

@@ -368,7 +368,7 @@ def test_an_image_that_is_damaged_or_absent_is_a_row_with_its_error(lerobot, cal
     done = run_batch(root, cal, tmp_path / "out", dataset=STORED, table="csv")
     assert (done.frames, done.errors) == (9, 2)
     said = (tmp_path / "out/frames.csv").read_text()
-    assert "bytes that are no image" in said
+    assert "An encoded picture is truncated or damaged" in said
     assert "has no bytes of an image" in said
 
 

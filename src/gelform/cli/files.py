@@ -273,6 +273,18 @@ class Inputs:
         return images, None
 
 
+@dataclass(frozen=True)
+class FilmInputs(Inputs):
+    """Inputs of what reads films too."""
+
+    dataset: options.Dataset = ""
+
+    @property
+    def reading(self) -> dict[str, Any]:
+        """Keywords of `open_source`: how its frames are read."""
+        return {"bgr": self.bgr, "dataset": self.dataset}
+
+
 def starter_calibration(
     sensor: str, background: Path, *, bgr: bool = False, **known: Any
 ) -> gelform.Calibration:

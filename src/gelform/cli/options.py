@@ -206,6 +206,7 @@ class PressOptions:
     bgr: Annotated[
         bool, Option("--bgr", help="All images, also the background, are blue, green, red, as in OpenCV.")
     ] = False
+    dataset: Dataset = ""
 
 
 def flat(function: Callable[..., None]) -> Callable[..., None]:

@@ -26,6 +26,7 @@ from gelform.live.hub import GuideSession, Hub, starter_of_station
 from gelform.live.lists import Calibrations, Recordings, shown_name
 from gelform.live.shown import Shown
 from gelform.live.station import SETTABLE, MovedSince, Opening, Setup, Station
+from gelform.sensors.containers import is_data_set
 from gelform.sensors.films import is_film, open_film
 from gelform.sensors.mcap import end_missing
 from gelform.sensors.mjpeg import shown_address
@@ -226,7 +227,7 @@ def open_recording(hub: Hub, station: Station, name: str) -> None:
     if name:
         path = hub.recordings.path(name)
         bgr = hub.bgr and path.suffix.lower() != ".mcap"  # which states its channels
-        recording = open_film(path, bgr=bgr, scan=True)
+        recording = open_film(path, bgr=bgr, dataset=hub.dataset * is_data_set(path), scan=True)
         if said := end_missing(recording.path):
             hub.notice(said, "warning")
         setup = attached_setup(hub, station.setup, recording.path)
@@ -354,13 +355,14 @@ def start(
     rate_hz: float = RATE_HZ,
     sensor: str | None = None,
     bgr: bool = False,
+    dataset: str = "",
 ) -> Hub:
     """Open the sources and reconstruct; wait for cameras that are not connected yet.
 
     `sources` are "simulated", serial numbers, names, paths ...; `calibrations` are files, one for all sources or one for
     each. `folder` has more calibrations and recordings, and gets the new ones. `rate_hz` is that of simulated sensors.
     `sensor` is the make whose starter is used without a calibration, by default that of the camera. `bgr` says that frames
-    of cameras and files are blue, green, red.
+    of cameras and files are blue, green, red, `dataset` where they are in data sets.
 
     DataError: several calibrations, but not one for each source; a missing file; a camera named twice. CalibrationError:
     a calibration cannot be read.
@@ -382,6 +384,7 @@ def start(
         recordings=Recordings(given, folder),
         folder=folder or Path("."),
         bgr=bgr,
+        dataset=dataset,
     )
     if problem:
         hub.notice(problem, "warning")
@@ -416,7 +419,7 @@ def _show(hub: Hub, number: int, spec: str, name: str, rate_hz: float, make: str
         source = partial(SimulatedSource, sensor, rate_hz=rate_hz, seed=number)
         opening = Opening(source, 10.0)  # a busy machine simulates late although nothing was unplugged
     elif is_film(spec):
-        recording = open_film(Path(spec), bgr=hub.bgr, scan=True)
+        recording = open_film(Path(spec), bgr=hub.bgr, dataset=hub.dataset, scan=True)
         opening = Opening(partial(Player, recording, may_begin=hub.watched), math.inf)
         if said := end_missing(recording.path):
             hub.notice(said, "warning")
@@ -444,7 +447,7 @@ def _opening_of_camera(hub: Hub, spec: str) -> Opening:
     wanted: dict[str, float | str] = {}
     opened: list[Source] = []
     try:
-        opened.append(open_source(spec, paced=True, bgr=hub.bgr))
+        opened.append(open_source(spec, paced=True, bgr=hub.bgr, dataset=hub.dataset))
     except SensorError as problem:
         if not _may_be_camera(hub, spec):
             raise DataError(

@@ -88,6 +88,7 @@ class Hub:
     sinks: int = 0  # number of other programs that show the same results
     folder: Path = Path(".")  # for calibrations and recordings
     bgr: bool = False  # whether frames that do not state it are blue, green, red
+    dataset: str = ""  # where frames are in data sets
     # (number, level, text), the newest last; level is "info", "warning" or "error".
     notices: deque[tuple[int, str, str]] = field(default_factory=lambda: deque(maxlen=20))
     _listeners: list[Callable[[], None]] = field(default_factory=list)

@@ -415,6 +415,7 @@ def save_bag(
     seconds: float | None = None,
     background: ArrayLike | None = None,
     bgr: bool = False,
+    dataset: str = "",
     progress: Progress = no_progress,
 ) -> SentStats:
     """Reconstruct the frames of a source, and write frames and results as a rosbag2 folder.
@@ -431,7 +432,7 @@ def save_bag(
     sensor : a ROS name, the prefix of topics and frames; by default made from the calibration's sensor name
     seconds : duration; None: no limit
     background : (H, W, 3), 0-255, a current background image; by default the calibration's own
-    bgr : whether the frames are blue, green, red
+    bgr, dataset : as in `open_source`
     progress : called with the number of frames so far
 
     Raises
@@ -447,7 +448,9 @@ def save_bag(
     calibration, topics, name = _checked(calibration, topics, sensor, seconds)
     with (
         BagFile(path, name, topics=topics, hardware_id=calibration.serial or "") as bag,
-        stream(lambda: open_source(source, bgr=bgr), calibration, background=background) as running,
+        stream(
+            lambda: open_source(source, bgr=bgr, dataset=dataset), calibration, background=background
+        ) as running,
     ):
         return send_results(running, source, name, bag.write, seconds, progress, "writing frames")
 
@@ -464,6 +467,7 @@ def publish(
     seconds: float | None = None,
     background: ArrayLike | None = None,
     bgr: bool = False,
+    dataset: str = "",
     progress: Progress = no_progress,
 ) -> SentStats:
     """Reconstruct the frames of a source, and publish the newest results as ROS 2 topics until it ends.
@@ -496,7 +500,9 @@ def publish(
     with (
         RclpyNode(name, **how) if middleware == "rclpy" else ZenohNode(name, router=router, **how) as node,
         stream(
-            lambda: open_source(source, paced=True, bgr=bgr), calibration, background=background
+            lambda: open_source(source, paced=True, bgr=bgr, dataset=dataset),
+            calibration,
+            background=background,
         ) as running,
     ):
         return send_results(running, source, name, node.publish, seconds, progress, "publishing frames")

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,6 +23,7 @@ MAX_FRAMES = 10**7  # of a sequence: two days at 60 per second; more is a damage
 DAMAGED = (OSError, ValueError, RuntimeError)  # errors of h5py and zarr for a chunk that cannot be decoded
 NODES = (".zgroup", ".zarray", "zarr.json")  # metadata in the folder of a Zarr group or array
 OF_DATA_SETS = "--dataset is of HDF5 files, Zarr stores and LeRobot data sets"
+EPISODE = re.compile(r"(episode_)?\d{6}")  # last part of the name of its film
 ENDS = "meta/episode_ends"  # next to data/CAMERA, in the layout of diffusion policies
 
 
@@ -213,10 +215,24 @@ def frames_inside(path: Path) -> list[str]:
 
 
 def films_inside(path: Path, name: str, wanted: str) -> list[FilmRef]:
-    """The films of an HDF5 file, a Zarr store or a LeRobot data set that match a pattern; DataError if none does."""
-    return (
-        films_in_lerobot_set(path, wanted) if is_lerobot_set(path) else films_in_container(path, name, wanted)
+    """The films of an HDF5 file, a Zarr store or a LeRobot data set that match a pattern; DataError if none does.
+
+    The name of an episode may follow that of its dataset or camera: "observation.images.gel/episode_000003".
+    """
+    films_of = (
+        partial(films_in_lerobot_set, path)
+        if is_lerobot_set(path)
+        else partial(films_in_container, path, name)
     )
+    try:
+        return films_of(wanted)
+    except DataError:
+        whole, _, episode = wanted.rpartition("/")
+        if not EPISODE.fullmatch(episode):
+            raise
+        if not (films := [film for film in films_of(whole) if film.name.endswith(f"/{episode}")]):
+            raise
+        return films
 
 
 def values_of(film: FilmRef, start: int, count: int) -> Iterator[tuple[float, NDArray[Any] | DataError]]:

@@ -15,7 +15,15 @@ from gelform.errors import DataError, GelformError
 from gelform.foundations.checks import check_path, check_positive
 from gelform.foundations.files import way_for
 from gelform.image.view import Frame
-from gelform.sensors.containers import OF_DATA_SETS, FilmRef, films_inside, is_data_set, values_of
+from gelform.sensors.containers import (
+    OF_DATA_SETS,
+    FilmRef,
+    films_inside,
+    frames_inside,
+    is_container,
+    is_data_set,
+    values_of,
+)
 from gelform.sensors.files import (
     FILM_SUFFIXES,
     images_of_stack,
@@ -40,7 +48,7 @@ def open_film(
     DataError: it is missing, damaged, of an unknown kind, or without a frame.
     """
     film: Film
-    if is_data_set(path) and path.exists():
+    if is_data_set(path):
         film = Stored(path, films_inside(path, path.name, dataset), rate_hz)
     elif dataset:
         raise DataError(f"{OF_DATA_SETS} ({dataset}); got {path}. Leave it out.")
@@ -80,7 +88,12 @@ def films_in(folder: Path) -> list[Path]:
 
     def is_one(path: Path) -> bool:
         try:
-            return path.suffix.lower() in FILM_SUFFIXES or is_stack(path)
+            suffix = path.suffix.lower()
+            return (
+                suffix in FILM_SUFFIXES
+                or is_stack(path)
+                or (is_container(path) and bool(frames_inside(path)))
+            )
         except DataError:  # opening it says why
             return False
 

@@ -13,6 +13,7 @@ from gelform.errors import DataError, SensorError
 from gelform.foundations.checks import check_path
 from gelform.image.view import Frame, in_rgb
 from gelform.sensors.cameras import UsbCamera, camera_named, check_settings, path_of_number
+from gelform.sensors.containers import OF_DATA_SETS, is_data_set
 from gelform.sensors.files import FILM_SUFFIXES
 from gelform.sensors.films import is_film, open_film
 from gelform.sensors.mjpeg import OPEN_S, MjpegUrl, shown_address
@@ -100,8 +101,9 @@ def open_source(
     timeout_s: float = OPEN_S,
     settings: Mapping[str, float | str] | None = None,
     bgr: bool = False,
+    dataset: str = "",
 ) -> Source:
-    """Open a camera, a file, a folder or the simulated sensor.
+    """Open a camera, a file, a folder, a data set or the simulated sensor.
 
     Parameters
     ----------
@@ -112,12 +114,15 @@ def open_source(
         - the serial number of a USB camera, its name (or three letters of it, or "digit", "gelsight-mini"), its path,
           or its number (0, 1, ... or the text), as in /dev/video0; "" for the only connected camera
         - *.mcap, a rosbag2 folder, a video file, a folder of images, a TIFF of several pages, or frames of numpy (*.npy)
+        - an HDF5 file, a Zarr store or a LeRobot data set (version 3.0), whose films come one after the other
     paced : whether files play at their original pace, instead of as fast as they can be read
-    rate_hz : frames per second of the simulated sensor (60) and of a folder of images (25)
+    rate_hz : frames per second of the simulated sensor (60), of a folder of images, and of HDF5 and Zarr (25)
     timeout_s : timeout of the connection to an address, s
     settings : values to set on a USB camera: width, height, fps, fourcc, exposure, gain, white_balance, led_level; they are
         read back. The simulated sensor and a folder of images take fps, as `rate_hz`; other sources none
     bgr : whether the frames are blue, green, red, as OpenCV writes an array
+    dataset : the datasets of HDF5 or Zarr, or cameras of LeRobot; * matches one name ("data/*/obs/gelsight"); a name of an
+        episode may follow ("observation.images.gel/episode_000003"). Not needed where there is one
 
     Returns
     -------
@@ -137,7 +142,7 @@ def open_source(
         raise TypeError(f"Expected a source as text, a path or a camera's number, got {type(spec).__name__}.")
     settings = check_settings(settings or {})
     fps = settings.get("fps")
-    opened = _without_settings(spec, paced, rate_hz or cast("float | None", fps), timeout_s)
+    opened = _without_settings(spec, paced, rate_hz or cast("float | None", fps), timeout_s, dataset)
     if opened is None:
         opened = UsbCamera(camera_named(str(spec)), settings)
     elif refused := [name for name in settings if name != "fps" or opened.rate_hz != fps]:
@@ -162,9 +167,11 @@ def spec_of(source: Any) -> Any:
 
 
 def _without_settings(
-    spec: str | PathLike[str], paced: bool, rate_hz: float | None, timeout_s: float
+    spec: str | PathLike[str], paced: bool, rate_hz: float | None, timeout_s: float, dataset: str
 ) -> Source | None:
     """The simulated sensor, an address, or a film; None if the spec can only be a USB camera's."""
+    if dataset and not is_film(str(spec)):
+        raise DataError(f"{OF_DATA_SETS} ({dataset}); got {shown_address(str(spec))}. Leave it out.")
     if isinstance(spec, str) and spec.startswith(ADDRESSES):
         return MjpegUrl(spec, timeout_s=timeout_s)
     try:
@@ -182,8 +189,8 @@ def _without_settings(
     if not str(spec):
         return None
     path = check_path(spec, "a source")
-    if is_film(str(path)) or path.suffix.lower() in FILM_SUFFIXES:
-        film = open_film(path, rate_hz=rate_hz)
+    if is_film(str(path)) or path.suffix.lower() in FILM_SUFFIXES or is_data_set(path):
+        film = open_film(path, rate_hz=rate_hz, dataset=dataset)
         return Playback(film, film.camera, paced=paced)
     if {"/", sep} & set(str(spec)) and not str(spec).startswith("/dev/"):  # "seq/" too
         raise DataError(f"No file or folder {spec}. Check the path.")

@@ -46,6 +46,7 @@ from gelform.foundations.files import (
     way_for,
 )
 from gelform.image.view import Frame, View, image_from_frame, image_px_from_frame_px, rgb_from_bgr
+from gelform.sensors.containers import OF_DATA_SETS, is_data_set
 from gelform.sensors.files import (
     FILM_SUFFIXES,
     SensorSettings,
@@ -164,6 +165,7 @@ def read_presses(
     background: str | PathLike[str] | None = None,
     crop: tuple[float, float, float, float] | None = None,
     bgr: bool = False,
+    dataset: str = "",
     progress: Progress = no_progress,
 ) -> Presses:
     """Read ball presses.
@@ -172,7 +174,7 @@ def read_presses(
     ----------
     path : a press folder (`presses.csv` with the columns image, ball_diameter_mm), gs_sdk's (`catalog.csv`) or
         py3DCal's folder, Taxim's `dataPack.npz`, or a folder of plain images, a TIFF of several pages, frames of numpy
-        (`.npy`), a video or a recording (`*.mcap`) with `ball_diameter_mm`
+        (`.npy`), a video, a recording (`*.mcap`) or a data set (HDF5, Zarr, LeRobot) with `ball_diameter_mm`
     sensor : name of a profile, which has the view and mm_per_px
     mm_per_px : pixel pitch, mm, or (x, y) of pixels that are not square; overrides sensor.toml and the profile
     ball_diameter_mm : for data without it
@@ -180,6 +182,7 @@ def read_presses(
         by default
     crop : (left, top, width, height) in pixels of the frame
     bgr : whether all images, the background too, are blue, green, red, as OpenCV writes an array
+    dataset : where the frames are in a data set, as in `open_source`
     progress : called with (done, total, what)
 
     Raises
@@ -195,15 +198,17 @@ def read_presses(
     kind = kind_of_presses(place)
     if kind == VIDEO:
         at_rest = None if rest is None else read_background(rest, bgr=bgr)
-        return _presses_of_film(open_film(place, bgr=bgr), place, options, at_rest, progress)
+        return _presses_of_film(open_film(place, bgr=bgr, dataset=dataset), place, options, at_rest, progress)
     if kind is None:
         is_picture = place.suffix.lower() in IMAGE_SUFFIXES
         is_file = "one picture: give the folder of all" if is_picture else "a file of another kind"
         is_what = is_file if place.exists() else "not there"
         raise DataError(
-            f"Expected a folder of presses, a video, a recording (*.mcap) or a Taxim dataPack.npz, got {place}, which is "
-            f"{is_what}.{way_for(place) if place.exists() else ''}"
+            f"Expected a folder of presses, a video, a recording (*.mcap), a data set or a Taxim dataPack.npz, got {place}, "
+            f"which is {is_what}.{way_for(place) if place.exists() else ''}"
         )
+    if dataset:
+        raise DataError(f"{OF_DATA_SETS} ({dataset}); got {place}. Leave it out.")
     refuse_bag(place)
     _, source = LAYOUTS[kind]
     return _presses_of_images(source(place, options), place, options, progress)
@@ -607,6 +612,6 @@ LAYOUTS: Mapping[str, tuple[Callable[[Path], bool], Callable[[Path, ReadOptions]
 
 def kind_of_presses(place: Path) -> str | None:
     """The layout of presses at a path: VIDEO, a name in `LAYOUTS`, or None."""
-    if place.is_file() and place.suffix.lower() in FILM_SUFFIXES:
+    if (place.is_file() and place.suffix.lower() in FILM_SUFFIXES) or (place.exists() and is_data_set(place)):
         return VIDEO
     return next((name for name, (is_it, _) in LAYOUTS.items() if is_it(place)), None)

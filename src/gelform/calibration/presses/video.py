@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import count as counted
 from typing import Any
 
 import cv2
@@ -18,8 +19,8 @@ from numpy.typing import NDArray
 from gelform.errors import DataError, Progress
 from gelform.foundations.checks import check_image, check_is
 from gelform.image.background import trimmed_mean
-from gelform.image.view import Frame, View, image_from_frame, in_rgb
-from gelform.sensors.films import Video
+from gelform.image.view import Frame, View, image_from_frame
+from gelform.sensors.playback import Film
 
 MAX_THUMBS = 6000  # thumbnails that are kept: four minutes at 25 frames a second
 STEPS = 64  # steps of a gray level that thumbnails keep
@@ -273,11 +274,10 @@ class _Images:
         return map(self._through_view, self._numbered(positions))
 
     def _numbered(self, only: Collection[int] | None) -> Iterator[Frame]:
-        if isinstance(self._frames, Video):  # decodes no others
-            found = self._frames.frames(only)
-            yield from map(in_rgb, found) if self._frames.bgr else found
-            return
-        for position, frame in enumerate(self._frames):
+        numbered: Iterable[tuple[int, Frame]] = enumerate(self._frames)
+        if isinstance(self._frames, Film):  # decodes no others
+            numbered = zip(counted() if only is None else sorted(only), self._frames.frames(only))
+        for position, frame in numbered:
             check_is(frame, Frame, "each frame")
             if only is None or position in only:
                 yield replace(frame, index=position, image=check_image(frame.image, name="each frame"))

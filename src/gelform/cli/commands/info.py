@@ -7,19 +7,23 @@ import platform
 import re
 import sys
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import BadParameter, Option
 
 import gelform
 from gelform import DataError, GelformError, result
+from gelform.cli import options
 from gelform.cli.console import in_options, print_json, show
 from gelform.cli.options import Json, argument
 from gelform.errors import counted
+
+if TYPE_CHECKING:
+    from gelform.sensors.playback import Film
 
 
 def system_facts() -> dict[str, Any]:
@@ -135,6 +139,7 @@ def info(
     path: Annotated[
         Path | None, argument("FILE|FOLDER", "Calibration, result, image, video, press folder.")
     ] = None,
+    dataset: options.Dataset = "",
     system: Annotated[
         bool, Option("--system", help="Describe this machine instead, for a bug report.")
     ] = False,
@@ -151,14 +156,19 @@ def info(
       gelform info out/frame.npz --json
       gelform info presses/
       gelform info presses.avi
+      gelform info demos.hdf5 --dataset "data/*/obs/gelsight"
       gelform info session.mcap
       gelform info press_bag/
       gelform info --system --json
     """
+    from gelform.sensors.containers import is_data_set
+
     if (path is None) != system:
         raise BadParameter("Expected a file or folder, or --system, and not both.")
     if path is None:
         facts = system_facts()
+    elif path.exists() and (dataset or is_data_set(path)):
+        facts = _data_set(path, dataset)
     elif path.exists():
         facts = _folder(path) if path.is_dir() else _file(path)
     else:
@@ -188,12 +198,9 @@ def _file(path: Path) -> dict[str, Any]:
         return _recording(path)
     from gelform.calibration.presses.folder import TAXIM, VIDEO, kind_of_presses
     from gelform.calibration.presses.press_set import table_rows
-    from gelform.sensors.containers import is_container
     from gelform.sensors.files import images_of_stack, is_stack, read_toml
     from gelform.sensors.pictures import IMAGE_SUFFIXES
 
-    if is_container(path):
-        return _data_set(path)
     if path.suffix.lower() == ".csv":
         rows = [row for _, row in table_rows(path, ())]
         return {"kind": "table", "columns": list(rows[0]) if rows else [], "rows": len(rows)}
@@ -204,7 +211,8 @@ def _file(path: Path) -> dict[str, Any]:
         }
     layout = kind_of_presses(path)
     if layout == VIDEO:
-        return _video(path)
+        video = gelform.Video(path)
+        return _film(video, "video", [video.camera.settings[side] for side in ("height", "width")])
     if layout == TAXIM:
         return _presses(path, layout)
     if path.suffix == ".npz":
@@ -227,10 +235,14 @@ def _file(path: Path) -> dict[str, Any]:
     return {"kind": "image", "size_px": list(image.shape[:2]), "mean_rgb": levels}
 
 
-def _data_set(path: Path) -> dict[str, Any]:
-    """The datasets of frames in an HDF5 file or a Zarr store, or the cameras of a LeRobot data set."""
+def _data_set(path: Path, dataset: str) -> dict[str, Any]:
+    """The datasets of frames in an HDF5 file or a Zarr store, the cameras of a LeRobot data set; or the frames of one."""
     from gelform.sensors.containers import frames_inside, is_lerobot_set, is_zarr
+    from gelform.sensors.films import open_film
 
+    if dataset:
+        film = open_film(path, dataset=dataset, scan=True)
+        return _film(film, f"frames of {dataset}", film[0].image.shape[:2])
     kind = "LeRobot data set" if is_lerobot_set(path) else "Zarr store" if is_zarr(path) else "HDF5 file"
     return {"kind": kind, "frames": frames_inside(path) or "no dataset of frames (N, H, W, 3)"}
 
@@ -289,19 +301,18 @@ def _roughness(found: gelform.Reconstruction) -> dict[str, Any] | None:
     return {name: round(value, 4) if isinstance(value, float) else value for name, value in figures.items()}
 
 
-def _video(path: Path) -> dict[str, Any]:
-    """The facts that the file states; calibration finds the presses."""
-    video = gelform.Video(path)
-    rate_hz = video.camera.rate_hz or 0.0
+def _film(film: Film, kind: str, size_px: Sequence[float | str]) -> dict[str, Any]:
+    """The facts that a video or a data set states; calibration finds the presses."""
+    rate_hz = film.camera.rate_hz or 0.0
     missing = ["the ball's diameter (--ball-diameter-mm)"]
-    if not (path.parent / "sensor.toml").is_file():
+    if not (film.path.parent / "sensor.toml").is_file():
         missing.append("the scale (--mm-per-px or --sensor)")
     return {
-        "kind": "video",
-        "size_px": [int(video.camera.settings[side]) for side in ("height", "width")],
-        "frames": video.count,
+        "kind": kind,
+        "size_px": [int(side) for side in size_px],
+        "frames": film.count,
         "frame_rate_hz": rate_hz,
-        "duration_s": video.count / rate_hz if rate_hz else None,
+        "duration_s": film.count / rate_hz if rate_hz else None,
         "missing": missing,
     }
 
@@ -309,15 +320,12 @@ def _video(path: Path) -> dict[str, Any]:
 def _folder(path: Path) -> dict[str, Any]:
     """The facts of a bag or presses; for any other folder, the files that would make it a press folder."""
     from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses, rows_by_folder
-    from gelform.sensors.containers import is_container, is_lerobot_set
     from gelform.sensors.files import likely_background
     from gelform.sensors.mcap import is_bag_folder
     from gelform.sensors.pictures import IMAGE_SUFFIXES
 
     if is_bag_folder(path):
         return _bag(path)
-    if is_container(path) or is_lerobot_set(path):
-        return _data_set(path)
     layout = kind_of_presses(path)
     if layout not in (PRESS_FOLDER, PLAIN):
         return _presses(path, layout)

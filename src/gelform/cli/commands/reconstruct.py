@@ -29,7 +29,7 @@ from gelform.cli.console import (
     say,
     status_of,
 )
-from gelform.cli.files import Inputs, check_results, make_folder, named, result_paths, save_by_name
+from gelform.cli.files import FilmInputs, check_results, make_folder, named, result_paths, save_by_name
 from gelform.cli.options import argument, one_of, option, usage_errors
 from gelform.errors import FrameTally, GelformError, counted, reason
 from gelform.result.maps import KEPT_MAPS
@@ -48,12 +48,11 @@ def reconstruct(
         list[Path],
         argument("INPUT...", "Images, folders, patterns in quotes; or one video, stack or recording."),
     ],
-    given: Inputs,
+    given: FilmInputs,
     output: options.ResultFolder,
     formats: Annotated[
         str, Option("--format", help="npz, png (a picture), ply, stl, tiff, x3p; several: npz,png.")
     ] = "npz",
-    dataset: options.Dataset = "",
     skip_existing: Annotated[
         bool, Option("--skip-existing", help="Skip images that have results, to continue a run.")
     ] = False,
@@ -91,7 +90,7 @@ def reconstruct(
     if not wanted or not {*wanted} <= {*FORMATS}:
         expected = f"expected formats among {', '.join(FORMATS)}, got {formats!r}."
         raise BadParameter(expected, param_hint="--format")
-    images, film = given.images_or_film(inputs, dataset)
+    images, film = given.images_or_film(inputs, given.dataset)
     if film is not None:
         if strict or skip_existing:
             option, instead = (
@@ -105,7 +104,7 @@ def reconstruct(
         try:
             batch(
                 source=str(inputs[0]),
-                given=Frames(**vars(given), dataset=dataset),
+                given=Frames(**vars(given)),
                 output=output,
                 keep="all",
                 shard=(1, 1),
@@ -120,7 +119,7 @@ def reconstruct(
             if view and (output / SHEET).exists():
                 _open(output / SHEET, shown)
         return
-    if dataset:
+    if given.dataset:
         raise BadParameter("is for an HDF5 file, a Zarr store or a LeRobot data set.", param_hint="--dataset")
     if view and len(images) == 1 and "png" not in wanted:
         wanted.append("png")
@@ -254,7 +253,7 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class Frames(Inputs):
+class Frames(FilmInputs):
     """Inputs of many sequences: also the places of frames and of background images."""
 
     background: Annotated[
@@ -263,7 +262,6 @@ class Frames(Inputs):
             "IMG|DIR|CSV", "Gel at rest: an image, a folder of several, or a table of sequence,background."
         ),
     ] = None
-    dataset: options.Dataset = ""
     background_frames: Annotated[
         int, Option(metavar="N", min=0, help="Average the first N frames of each sequence as its background.")
     ] = 0

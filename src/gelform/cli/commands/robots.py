@@ -16,7 +16,7 @@ import gelform
 from gelform import robots
 from gelform.cli import options
 from gelform.cli.console import DOUBT, ShownOption, mistakes_in, say, status_of
-from gelform.cli.files import Inputs, check_output, save_by_name
+from gelform.cli.files import FilmInputs, check_output, save_by_name
 from gelform.cli.options import argument, option, usage_errors
 from gelform.errors import counted
 from gelform.robots.topics import (
@@ -66,7 +66,7 @@ class Sent:
 def bag(
     *,
     source: Annotated[str, argument("INPUT", "Recording, video, folder, serial, name, URL, or simulated.")],
-    given: Inputs,
+    given: FilmInputs,
     output: Annotated[Path, options.output("DIR", "A new folder: the bag of ROS 2.")],
     sent: Sent,
     shown: ShownOption,
@@ -91,7 +91,7 @@ def bag(
     background = given.background_for(loaded)
     with shown.progress() as progress:
         stats = robots.save_bag(
-            source, loaded, output, background=background, bgr=given.bgr, **settings, progress=progress
+            source, loaded, output, background=background, **given.reading, **settings, progress=progress
         )
     shown.say(
         f"Wrote {output}: {counted(stats.frames, 'frame')} in {stats.duration_s:.1f} s, {stats.drops} dropped."
@@ -103,7 +103,7 @@ def bag(
 
 def ros(
     *,
-    given: Inputs,
+    given: FilmInputs,
     source: Annotated[
         str, argument("[SOURCE]", "Serial, name, URL, recording, video, folder, or simulated.")
     ] = "simulated",
@@ -130,7 +130,7 @@ def ros(
     """
     options.one_of(middleware, MIDDLEWARES, "--middleware")
     link = {"router": router, "domain": domain, "middleware": middleware}
-    settings = {**sent.settings(), **link, "bgr": given.bgr}
+    settings = {**sent.settings(), **link, **given.reading}
     loaded = given.calibration_of(source, shown.quiet)
     background = given.background_for(loaded)
     with mistakes_in("ros"), shown.progress() as progress:
@@ -144,7 +144,7 @@ def ros(
 def track(
     *,
     source: Annotated[str, argument("INPUT", "Recording, video, folder, serial, name or URL.")],
-    given: Inputs,
+    given: FilmInputs,
     output: Annotated[Path, options.output("CSV", "Table of the poses.")],
     surface: Annotated[
         Path | None, option("FILE", "A surface of all keyframes: .npz, .ply, .stl, .tiff, .x3p.")
@@ -184,10 +184,10 @@ def track(
     loaded = given.calibration_of(source, shown.quiet)
     known, follow = given.background_for(loaded), Follower(in_rad, loaded.settings.place_error)
     poses: list[gelform.Tracked] = []
-    total = open_film(Path(source)).count if is_film(source) else 0
+    total = open_film(Path(source), dataset=given.dataset).count if is_film(source) else 0
     # For a surface: of the keyframes, and of the last two frames.
     results: dict[int, gelform.Reconstruction] = {}
-    opened = partial(gelform.open_source, source, bgr=given.bgr)
+    opened = partial(gelform.open_source, source, **given.reading)
     with shown.progress() as progress, gelform.stream(opened, loaded, background=known) as running:
         for number, one in enumerate(results_of(running, source, "follow")):
             poses.append(follow(one.result))

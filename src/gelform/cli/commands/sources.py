@@ -161,6 +161,7 @@ def record(
         ),
     ] = None,
     bgr: options.Bgr = False,
+    dataset: options.Dataset = "",
     shown: ShownOption,
 ) -> None:
     """Record a camera's frames, or presses for a calibration.
@@ -179,7 +180,8 @@ def record(
       gelform record D20123 --presses -o presses --ball-diameter-mm 6.35 --sensor digit
     """
     camera = _camera_settings(set_ or [])
-    opened = partial(gelform.open_source, source, paced=True, settings=camera or None, bgr=bgr)
+    reading: dict[str, Any] = {"settings": camera or None, "bgr": bgr, "dataset": dataset}
+    opened = partial(gelform.open_source, source, paced=True, **reading)
     if taken.presses:
         _presses(opened, output, taken, shown)
         return
@@ -350,7 +352,7 @@ def live(
         list[str] | None,
         argument(
             "[SOURCE]...",
-            "Serial, name, device, URL, video, folder, or simulated[:SENSOR]. Default: simulated.",
+            "Serial, name, device, URL, video, folder, data set, or simulated[:SENSOR]. Default: simulated.",
         ),
     ] = None,
     calibration: Annotated[
@@ -359,6 +361,7 @@ def live(
     ] = None,
     sensor: options.StarterSensor = None,
     bgr: options.Bgr = False,
+    dataset: options.Dataset = "",
     folder: Annotated[
         Path, option("DIR", "Folder of the offered calibrations and of new recordings.")
     ] = Path("."),
@@ -390,6 +393,7 @@ def live(
       gelform live left right -c left.npz -c right.npz --port 8080
       gelform live http://robot:8080/stream --sensor digit
       gelform live session.mp4 -c mini.npz
+      gelform live press_set --dataset observation.images.gel -c mini.npz
       gelform live --sink rerun
     """
     if sensor is not None:
@@ -400,7 +404,7 @@ def live(
 
     server = listen(host, port, token=token)
     with mistakes_in("live"):
-        hub = start(sources or ["simulated"], calibration or [], folder, rate, sensor, bgr)
+        hub = start(sources or ["simulated"], calibration or [], folder, rate, sensor, bgr, dataset)
     try:
         with mistakes_in("--sink"):
             feeders, said = feed(hub, sink or [])
