@@ -189,12 +189,13 @@ def test_messages_advise_no_python():
 
 
 def test_options_that_readers_of_frames_name_exist_where_frames_are_read():
-    """A message of the reader of data sets reaches every command that lists frames."""
+    """A message of the reader of data sets reaches every command that reads frames."""
     commands = dict(all_commands())
-    readers = (SOURCE / "batch" / name for name in ("inputs.py", "containers.py"))
+    readers = (SOURCE / name for name in ("batch/inputs.py", "sensors/containers.py", "sensors/films.py"))
     named = set().union(*map(options_named_in, readers)) - FOREIGN - {"--keep"}
     assert "--dataset" in named
-    for command in ("batch", "reconstruct"):
+    films = ("info", "live", "record", "calibrate", "evaluate", "bag", "ros", "track")
+    for command in ("batch", "reconstruct", *films):
         assert named <= options_of(commands[command]), (command, named - options_of(commands[command]))
 
 

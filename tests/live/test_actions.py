@@ -27,7 +27,22 @@ from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.record import attached_calibration
 from gelform.simulate import Ball, simulate_background, simulate_press
 from live_waiting import until
+from made.files import FPS, KEY
 from made.sources import ImageSource, recorded
+
+
+def test_a_data_set_is_a_recording(lerobot, tmp_path):
+    root, frames = lerobot
+    with pytest.raises(DataError, match="Give one with --dataset"):
+        start([str(root)], folder=tmp_path)
+    with closing(start([str(root)], folder=tmp_path, dataset=KEY)) as hub:
+        (station,) = hub.stations
+        until(lambda: station.player is not None)
+        station.player.seek(4)
+        until(lambda: station.player.facts()["number"] == 4 and station.newest is not None)
+        assert station.player.facts()["count"] == len(frames)
+        actions.open_recording(hub, station, hub.recordings.facts()[0]["name"])
+        assert station.player.facts()["duration_s"] == pytest.approx((len(frames) - 1) / FPS)
 
 
 def test_the_background_is_the_sensors(hub, station, sensor):

@@ -115,7 +115,7 @@ def test_a_dataset_is_named_for_data_sets_alone(h5py, tmp_path, images):
         file["depth_mm"] = np.zeros((3, 4, 5), np.float32)
     with h5py.File(tmp_path / "gel.h5", "w") as file:
         file["a"] = file["b"] = np.stack(images)
-    with pytest.raises(DataError, match=r"holds 2 datasets of frames\\. Give one with --dataset"):
+    with pytest.raises(DataError, match=r"holds 2 datasets of frames\. Give one with --dataset"):
         open_source(tmp_path / "gel.h5")
     assert films_in(tmp_path) == [tmp_path / "gel.h5"]
 

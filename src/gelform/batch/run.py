@@ -511,8 +511,7 @@ def run_batch(
     if background is not None and settings.background_frames:
         raise DataError("Expected --background or --background-frames, got both. Leave one out.")
     backgrounds = backgrounds_of(None if background is None else check_path(background))
-    listing = listing_of(source, leave_out=backgrounds.files, dataset=dataset)
-    listing = replace(listing, bgr=settings.bgr)
+    listing = replace(listing_of(source, leave_out=backgrounds.files, dataset=dataset), bgr=settings.bgr)
     check_apart(listing, output)
     if starter is not None and given is None:
         given = _with_scale(starter(frame_at_rest(listing, settings.background_frames)))

@@ -280,6 +280,19 @@ def test_a_recording_whose_numbers_have_gaps_gives_the_same_as_its_frames(filmed
     np.testing.assert_array_equal(read.background, wanted.background)
 
 
+def test_a_data_set_gives_the_same_as_its_frames(filmed, how, h5py, tmp_path):
+    images = filmed.images[: filmed.holds[2][1] + REST]
+    with h5py.File(tmp_path / "demos.h5", "w") as file:
+        file["data/a/gel"], file["data/b/gel"] = np.stack(images[:40]), np.stack(images[40:])
+    read = gelform.read_presses(tmp_path / "demos.h5", **how, dataset="data/*/gel")
+    wanted = gelform.presses_from_frames(frames_of(images), **how)
+    assert [frame_of(p) for p in read.presses] == [frame_of(p) for p in wanted.presses]
+    assert [p.digest for p in read.presses] == [p.digest for p in wanted.presses]
+    np.testing.assert_array_equal(read.background, wanted.background)
+    with pytest.raises(gelform.DataError, match="--dataset is of HDF5 files"):
+        gelform.read_presses(tmp_path, **how, dataset="data/*/gel")
+
+
 @pytest.mark.slow
 def test_a_video_calibrates_nearly_as_well_as_stills(filmed, read):
     by_video = gelform.calibrate(read, color_model="polynomial").report

@@ -183,6 +183,25 @@ def test_a_video_and_what_it_lacks(run, run_json, press_folder, tmp_path):
     assert len(run_json("info", path)["missing"]) == 1
 
 
+def test_the_frames_of_a_data_set_are_described_as_a_film(run_json, works, h5py, tmp_path, images):
+    with h5py.File(tmp_path / "demos.h5", "w") as file:
+        file["a/gel"] = file["b/gel"] = np.stack(images)
+    said = run_json("info", tmp_path / "demos.h5")
+    assert said == {
+        "kind": "HDF5 file",
+        "frames": ["a/gel (one of uint8 4x64x80x3)", "b/gel (one of uint8 4x64x80x3)"],
+    }
+    said = run_json("info", tmp_path / "demos.h5", "--dataset", "*/gel")
+    assert (said["frames"], said["size_px"], said["frame_rate_hz"], said["duration_s"]) == (
+        8,
+        [64, 80],
+        25,
+        8 / 25,
+    )
+    assert len(said["missing"]) == 2
+    assert "64x80 px" in works("info", tmp_path / "demos.h5", "--dataset", "a/gel")[0]
+
+
 @pytest.mark.slow
 def test_what_simulate_writes_is_described(run, run_json, works, sensor, tmp_path, press_folder):
     pytest.importorskip("h5py")
