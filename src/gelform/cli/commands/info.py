@@ -305,7 +305,7 @@ def _film(film: Film, kind: str, size_px: Sequence[float | str]) -> dict[str, An
     """The facts that a video or a data set states; calibration finds the presses."""
     rate_hz = film.camera.rate_hz or 0.0
     missing = ["the ball's diameter (--ball-diameter-mm)"]
-    if not (film.path.parent / "sensor.toml").is_file():
+    if not ((film.path if film.path.is_dir() else film.path.parent) / "sensor.toml").is_file():
         missing.append("the scale (--mm-per-px or --sensor)")
     return {
         "kind": kind,
