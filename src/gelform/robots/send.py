@@ -39,6 +39,7 @@ from gelform.robots.topics import (
     check_topics,
     sensor_name_from,
 )
+from gelform.sensors.playback import Closing
 from gelform.sensors.streams.memory import StreamFrame
 
 
@@ -175,7 +176,7 @@ def attachment(number: int, sent_ns: int, gid: bytes) -> bytes:
     return struct.pack("<qqB", number, sent_ns, len(gid)) + gid
 
 
-class ZenohNode:
+class ZenohNode(Closing):
     """Publishes frames and results as ROS 2 topics; a context manager.
 
     Messages for a subscriber that is too slow are dropped, because only the newest matters.
@@ -238,12 +239,6 @@ class ZenohNode:
     def close(self) -> None:
         """Leave the network."""
         self._session.close()
-
-    def __enter__(self) -> ZenohNode:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 class RclpyNode:

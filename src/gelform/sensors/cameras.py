@@ -24,7 +24,7 @@ from gelform.arrays import Array
 from gelform.errors import SensorError, SourceLostError
 from gelform.image.view import Frame
 from gelform.sensors.pictures import MAX_TORN, image_from_jpeg, reduction_of
-from gelform.sensors.playback import Closing
+from gelform.sensors.playback import Closing, FrameReader
 from gelform.sensors.profiles import SENSORS, KnownCamera
 
 NOTHING_THERE = (
@@ -366,7 +366,7 @@ def programs_that_hold(path: str) -> list[str]:
     return found
 
 
-class UsbCamera(Closing):
+class UsbCamera(Closing, FrameReader):
     """The frames of a USB camera, one of `cameras_there`, with these settings: width, height, fps, fourcc, exposure ...
 
     A known sensor's camera runs in its usual mode, any other camera in its current mode. Large frames that the camera sends
@@ -396,7 +396,7 @@ class UsbCamera(Closing):
         rate = self._capture.get(cv2.CAP_PROP_FPS)
         self.rate_hz: float | None = float(rate) if rate > 0 else None
 
-    def __iter__(self) -> Iterator[Frame]:
+    def _frames(self) -> Iterator[Frame]:
         index, torn = -1, 0
         while not self._closed:
             with self._lock:

@@ -208,7 +208,7 @@ class Video(Film):
         capture.release()
         super().__init__(self.path, RecordingFacts(self.path.name, settings=settings, rate_hz=rate_hz))
 
-    def _read(self, only: Container[int] | None = None) -> Iterator[Frame]:
+    def _frames(self, only: Container[int] | None = None) -> Iterator[Frame]:
         capture = self._opened()
         index = 0
         try:

@@ -15,6 +15,7 @@ from typing import Generic, TypeVar
 from gelform.errors import SensorError, SourceLostError
 from gelform.foundations.checks import check_within
 from gelform.image.view import Frame
+from gelform.sensors.playback import Closing
 from gelform.sensors.source import Source, checked_frame, open_source
 
 STALL_S = 0.5  # s without a frame until "reconnecting"; robots' recorders give up after as long
@@ -143,7 +144,7 @@ class GrabberStats:
     age_s: float | None = None  # of the newest frame; None before the first
 
 
-class Grabber:
+class Grabber(Closing):
     """Reads a source in its own thread and keeps the newest frame, for any number of consumers.
 
     A source that is lost (unplugged, stopped, only torn frames) is reopened. Attempts are 20 ms apart at first, then at most
@@ -255,9 +256,6 @@ class Grabber:
         self._thread = threading.Thread(target=self._run, name=f"grab {self._source.name}", daemon=True)
         self._thread.start()
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Stop reading and release the device; waits at most 2 s for a device that hangs."""

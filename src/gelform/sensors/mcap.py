@@ -478,7 +478,7 @@ class Recording(Film):
             lambda offset: list(self._wanted(next(records_from(self._file, offset))[1]))
         )
 
-    def _read(self, only: Container[int] | None = None) -> Iterator[Frame]:
+    def _frames(self, only: Container[int] | None = None) -> Iterator[Frame]:
         first_ns: int | None = None
         messages = chain.from_iterable(self._wanted(inside) for _, inside in records_from(self._file))
         for number, message in enumerate(messages):

@@ -18,7 +18,7 @@ from urllib.parse import SplitResult, unquote, urlsplit
 from gelform.errors import SensorError, SourceLostError
 from gelform.image.view import Frame
 from gelform.sensors.pictures import MAX_TORN, image_from_jpeg, jpeg_shape, reduction_of
-from gelform.sensors.playback import Closing
+from gelform.sensors.playback import Closing, FrameReader
 
 OPEN_S = 2.0  # s, timeout for the connection and the first picture
 STALL_S = 1.0  # s without data until the camera counts as lost
@@ -40,7 +40,7 @@ def shown_address(spec: str) -> str:
     return f"{scheme}://" + _SECRET.sub(r"\1...", rest[secret + 1 :])
 
 
-class MjpegUrl(Closing):
+class MjpegUrl(Closing, FrameReader):
     """The frames of an MJPEG address, http:// or https://.
 
     If several pictures have arrived, the last one is decoded and the others count as dropped. A torn picture (without its
@@ -79,7 +79,7 @@ class MjpegUrl(Closing):
             "reduced": self._reduction,
         }
 
-    def __iter__(self) -> Iterator[Frame]:
+    def _frames(self) -> Iterator[Frame]:
         index, torn, picture_s = -1, 0, time.monotonic()
         while not self._closed:
             parts, self._arrived = self._arrived or self._read(STALL_S), []

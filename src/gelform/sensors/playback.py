@@ -105,60 +105,6 @@ class Pace:
         return time.monotonic() - self._start_s - after_s
 
 
-class Film:
-    """Frames that end, in the order of time; a loop reads them from the start, `film[number]` gives any, in any thread.
-
-    A kind of film has `_frame`, the one of a number, and, unless its frames are counted and evenly spaced, `_read` and
-    `times_s`. It knows the facts of its camera as far as they are known.
-    """
-
-    count = 0  # number of frames that it states, or 0; a damaged file may hold fewer
-    bgr = False  # whether its frames are blue, green, red; they come in RGB
-    most_pixels: float = MAX_PIXELS  # larger pictures are not decoded
-
-    def __init__(self, path: Path, camera: RecordingFacts) -> None:
-        self.path, self.camera = path, camera
-        self._alone = Lock()  # decoders keep their place, and a film may be shared while it plays
-
-    def __iter__(self) -> Iterator[Frame]:
-        return self.frames()
-
-    def __getitem__(self, number: int) -> Frame:
-        """The frame of a number from 0; DataError if it is damaged."""
-        with self._alone:
-            return self._in_rgb(self._frame(number))
-
-    def frames(self, only: Container[int] | None = None) -> Iterator[Frame]:
-        """The frames, or those with a position in `only`; most films do not decode the others."""
-        return map(self._in_rgb, self._read(only))
-
-    def each(self, start: int = 0, count: int = 0) -> Iterator[Frame | BaseException]:
-        """The frames of a range (0: to the end), or in the place of one its error; raises where nothing more can be read."""
-        return map(self._in_rgb, self._each(start, count or self.count - start))
-
-    def _in_rgb(self, found: Any) -> Any:
-        """A frame in RGB; errors unchanged."""
-        return in_rgb(found) if self.bgr and isinstance(found, Frame) else found
-
-    @cached_property
-    def times_s(self) -> Sequence[float]:
-        """Time of each frame, counted from the first, increasing; asking for it scans the file."""
-        return tuple(number / (self.camera.rate_hz or USUAL_RATE_HZ) for number in range(self.count))
-
-    def _read(self, only: Container[int] | None = None) -> Iterator[Frame]:
-        for number in range(self.count):
-            if only is None or number in only:
-                with self._alone:
-                    frame = self._frame(number)
-                yield frame
-
-    def _each(self, start: int, count: int) -> Iterator[Frame | BaseException]:
-        return islice(self._read(), start, None)
-
-    def _frame(self, number: int) -> Frame:
-        raise NotImplementedError
-
-
 class Closing:
     """A source that the end of a `with` block closes."""
 
@@ -172,7 +118,69 @@ class Closing:
         raise NotImplementedError
 
 
-class Playback(Closing):
+class FrameReader:
+    """What a loop gives frames of, in RGB, also where `bgr` says that they are read as blue, green, red."""
+
+    bgr = False
+
+    def __iter__(self) -> Iterator[Frame]:
+        return map(self._in_rgb, self._frames())
+
+    def _in_rgb(self, found: Any) -> Any:
+        """A frame in RGB; errors unchanged."""
+        return in_rgb(found) if self.bgr and isinstance(found, Frame) else found
+
+    def _frames(self) -> Iterator[Frame]:
+        raise NotImplementedError
+
+
+class Film(FrameReader):
+    """Frames that end, in the order of time; a loop reads them from the start, `film[number]` gives any, in any thread.
+
+    A kind of film has `_frame`, the one of a number, and, unless its frames are counted and evenly spaced, `_frames` and
+    `times_s`. It knows the facts of its camera as far as they are known.
+    """
+
+    count = 0  # number of frames that it states, or 0; a damaged file may hold fewer
+    most_pixels: float = MAX_PIXELS  # larger pictures are not decoded
+
+    def __init__(self, path: Path, camera: RecordingFacts) -> None:
+        self.path, self.camera = path, camera
+        self._alone = Lock()  # decoders keep their place, and a film may be shared while it plays
+
+    def __getitem__(self, number: int) -> Frame:
+        """The frame of a number from 0; DataError if it is damaged."""
+        with self._alone:
+            return self._in_rgb(self._frame(number))
+
+    def frames(self, only: Container[int] | None = None) -> Iterator[Frame]:
+        """The frames, or those with a position in `only`; most films do not decode the others."""
+        return map(self._in_rgb, self._frames(only))
+
+    def each(self, start: int = 0, count: int = 0) -> Iterator[Frame | BaseException]:
+        """The frames of a range (0: to the end), or in the place of one its error; raises where nothing more can be read."""
+        return map(self._in_rgb, self._each(start, count or self.count - start))
+
+    @cached_property
+    def times_s(self) -> Sequence[float]:
+        """Time of each frame, counted from the first, increasing; asking for it scans the file."""
+        return tuple(number / (self.camera.rate_hz or USUAL_RATE_HZ) for number in range(self.count))
+
+    def _frames(self, only: Container[int] | None = None) -> Iterator[Frame]:
+        for number in range(self.count):
+            if only is None or number in only:
+                with self._alone:
+                    frame = self._frame(number)
+                yield frame
+
+    def _each(self, start: int, count: int) -> Iterator[Frame | BaseException]:
+        return islice(self._frames(), start, None)
+
+    def _frame(self, number: int) -> Frame:
+        raise NotImplementedError
+
+
+class Playback(Closing, FrameReader):
     """A film, or other frames that end, as a source, with the facts of the camera as far as they are known.
 
     Each frame comes as fast as it can be read, with the file's `time_s`; paced, at the original pace and with `time_s` on
@@ -183,12 +191,12 @@ class Playback(Closing):
         self.name, self.serial, self.rate_hz = facts.name, facts.serial, facts.rate_hz
         self.settings = dict(facts.settings)
         self.live = paced
-        self._frames = frames
+        self._film = frames
         self._closed = False
 
-    def __iter__(self) -> Iterator[Frame]:
+    def _frames(self) -> Iterator[Frame]:
         rate_hz, first_s, pace = self.rate_hz or USUAL_RATE_HZ, None, Pace()
-        for frame in self._frames:
+        for frame in self._film:
             if self.live:
                 first_s = frame.time_s if first_s is None else first_s
                 after_s = frame.time_s - first_s

@@ -20,7 +20,7 @@ from gelform.errors import SensorError
 from gelform.foundations.checks import check_positive
 from gelform.image.view import Frame
 from gelform.sensors.files import read_toml
-from gelform.sensors.playback import Closing, Pace
+from gelform.sensors.playback import Closing, FrameReader, Pace
 from gelform.sensors.profiles import SENSORS
 from gelform.simulate import LAYOUTS, Ball, Indenter, Led, Pose, SimulatedSensor
 from gelform.simulate.light import image_from_levels
@@ -189,7 +189,7 @@ def serial_of_simulated(sensor: SimulatedSensor) -> str:
     return f"simulated-{sensor.name}"
 
 
-class SimulatedSource(Closing):
+class SimulatedSource(Closing, FrameReader):
     """Frames of a simulated sensor, evenly spaced in time, each with its own noise; late frames are skipped.
 
     A ball rolls, then a coin, a screw, letters and a ring are pressed, in a loop, until a press or rest is requested. Images
@@ -224,7 +224,7 @@ class SimulatedSource(Closing):
         self._closed = threading.Event()
         self._ahead: threading.Thread | None = None
 
-    def __iter__(self) -> Iterator[Frame]:
+    def _frames(self) -> Iterator[Frame]:
         ahead = threading.Thread(target=self._compute_ahead, name="simulated touches", daemon=True)
         ahead.start()
         self._ahead = ahead  # started: close() waits for this thread

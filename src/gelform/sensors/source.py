@@ -11,13 +11,13 @@ from typing import Any, Protocol, cast
 
 from gelform.errors import DataError, SensorError
 from gelform.foundations.checks import check_path
-from gelform.image.view import Frame, in_rgb
+from gelform.image.view import Frame
 from gelform.sensors.cameras import UsbCamera, camera_named, check_settings, path_of_number
 from gelform.sensors.containers import OF_DATA_SETS, is_data_set
 from gelform.sensors.files import FILM_SUFFIXES
 from gelform.sensors.films import is_film, open_film
 from gelform.sensors.mjpeg import OPEN_S, MjpegUrl, shown_address
-from gelform.sensors.playback import Closing, Playback
+from gelform.sensors.playback import Playback
 from gelform.sensors.simulated import RATE_HZ, SimulatedSource, simulated_sensor_named
 from gelform.simulate import SimulatedSensor
 
@@ -57,22 +57,6 @@ class Source(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None, /
     ) -> None: ...
-
-
-class FromBgr(Closing):
-    """A source whose frames come as blue, green, red, in RGB; everything else is the source's own."""
-
-    def __init__(self, source: Source) -> None:
-        self.source = source
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.source, name)
-
-    def __iter__(self) -> Iterator[Frame]:
-        return map(in_rgb, self.source)
-
-    def close(self) -> None:
-        self.source.close()
 
 
 def checked_frame(frame: Frame, after_index: int, name: str) -> Frame:
@@ -142,7 +126,7 @@ def open_source(
         raise TypeError(f"Expected a source as text, a path or a camera's number, got {type(spec).__name__}.")
     settings = check_settings(settings or {})
     fps = settings.get("fps")
-    opened = _without_settings(spec, paced, rate_hz or cast("float | None", fps), timeout_s, dataset)
+    opened: Any = _without_settings(spec, paced, rate_hz or cast("float | None", fps), timeout_s, dataset)
     if opened is None:
         opened = UsbCamera(camera_named(str(spec)), settings)
     elif refused := [name for name in settings if name != "fps" or opened.rate_hz != fps]:
@@ -151,7 +135,8 @@ def open_source(
             f"{shown_address(str(spec))} is no USB camera: {', '.join(refused)} cannot be set. Leave it out. A simulated "
             "sensor and a folder of images take fps alone."
         )
-    return FromBgr(opened) if bgr else opened
+    opened.bgr = bgr
+    return cast("Source", opened)
 
 
 def spec_of(source: Any) -> Any:

@@ -34,6 +34,7 @@ from gelform.image.agreement import touch_in
 from gelform.image.background import USUAL_FRAMES
 from gelform.image.light import block_means
 from gelform.sensors.grabber import Shared
+from gelform.sensors.playback import Closing
 from gelform.sensors.source import Source
 from gelform.sensors.streams.memory import Memory, Smoothing, StreamFrame, Timed, Work
 from gelform.sensors.streams.pipeline import Feed, Pipeline, SourceLike, StreamStats, feed_from_source
@@ -314,7 +315,7 @@ def _starter_of(camera: Source | Grabber, missing: NoCalibration | None) -> Star
     return load_starter(name)
 
 
-class Stream:
+class Stream(Closing):
     """Results of a running sensor, newest first, for any number of consumers in any threads.
 
     A recording (a video or folder that is not paced) is no live source: each of its frames is reconstructed in order, and
@@ -335,9 +336,6 @@ class Stream:
     def __enter__(self) -> Stream:
         self._entered = True
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Stop, and release the sensor; repeated calls do no harm."""
