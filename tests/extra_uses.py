@@ -140,12 +140,12 @@ def use_lerobot() -> None:
 
 def shown_frame():
     from gelform.image.view import Frame
-    from gelform.live.shown import Shown
+    from gelform.live.shown import ShownFrame
     from gelform.reconstruct import Reconstructor
 
     image = image_of(Touch())
     result = Reconstructor(calibration()).from_image(image)
-    return Shown(3, Frame(image, 12.5, 10**18, 7), image, result)
+    return ShownFrame(3, Frame(image, 12.5, 10**18, 7), image, result)
 
 
 def use_rerun() -> None:

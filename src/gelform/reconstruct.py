@@ -31,10 +31,10 @@ from gelform.result import Later, Reconstruction
 from gelform.slopes.budget import (
     OUTLIER,
     Budget,
+    ExplainedImage,
     Explanation,
     PreparedBudget,
     ReadSlopes,
-    Shown,
     explanation_of,
     for_both,
     noise_at_rest,
@@ -502,7 +502,7 @@ class Reconstructor:
         record = self.record(image)
         seen, slopes, today = record.seen, record.slopes, self._today
         change = today.untouched_image.change(seen.image, seen.light)
-        shown = Shown(
+        shown = ExplainedImage(
             as_levels(seen.raw), change, seen.clipped.channels, seen.markers, seen.faults.lost, today.outside,
             self.calibration.change.blur_px,
         )  # fmt: skip

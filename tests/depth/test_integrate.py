@@ -13,7 +13,7 @@ import pytest
 from gelform.depth.coarse import RestAnchor
 from gelform.depth.integrate import (
     FrameDepth,
-    Problem,
+    IntegrationProblem,
     check_weights,
     depth_from_gradients,
     fitted_surface,
@@ -237,7 +237,7 @@ def test_a_problem_of_ones_own_is_solved_alike():
     weights, anchor = (rng.uniform(0.1, 1, g.shape[:2]).astype(np.float32) for _ in range(2))
     rest = rng.random(g.shape[:2]) < 0.5
     for how in ({"weights": weights, "anchor": anchor}, {"zero": rest}):
-        quick, checked = Problem(g, pitch, **how).solved(), integrate(g, mm_per_px=pitch, **how)
+        quick, checked = IntegrationProblem(g, pitch, **how).solved(), integrate(g, mm_per_px=pitch, **how)
         assert np.array_equal(quick.depth_mm, checked.depth_mm)
         assert (quick.solver, quick.curl_rms) == (checked.solver, checked.curl_rms)
 

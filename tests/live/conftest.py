@@ -10,7 +10,7 @@ from websockets.sync.client import connect
 from gelform import Frame, Reconstructor
 from gelform.live.hub import Hub
 from gelform.live.lists import Calibrations
-from gelform.live.shown import Shown
+from gelform.live.shown import ShownFrame
 from gelform.live.station import Setup, Station
 from gelform.live.web.server import listen
 from gelform.sensors.simulated import SimulatedSource
@@ -25,7 +25,7 @@ def result(calibration, press):
 @pytest.fixture
 def shown(press, result):
     frame = Frame(press.image, 12.5, 10**18, 7)
-    return Shown(3, frame, press.image, result)
+    return ShownFrame(3, frame, press.image, result)
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ from gelform.live.shown import (
     KEPT_SNAPSHOTS,
     KNOWN,
     PLANES,
-    Shown,
+    ShownFrame,
     Snapshots,
     depth_plane,
     image_plane,
@@ -185,13 +185,13 @@ def test_causes_are_a_bit_each_where_one_alone_is_worse_than_a_clean_slope(shown
     steep[:, :5] = dark[:3] = 0.021
     dark[3:] = 0.019
     why = SimpleNamespace(confidence=dark, maps={"steep": steep, "dark": dark}, full_confidence_sigma=0.02)
-    explained = Shown(1, shown.frame, shown.image, result, explain=lambda: why)
+    explained = ShownFrame(1, shown.frame, shown.image, result, explain=lambda: why)
     (plane,) = explained.planes(["causes"], "raw")
     np.testing.assert_array_equal(floats(plane), (steep > 0.02) + 2 * (dark > 0.02))
 
 
 def test_without_a_result_there_is_the_image_and_the_reason(shown):
-    bare = Shown(1, shown.frame, shown.image, problem="Expected another size.")
+    bare = ShownFrame(1, shown.frame, shown.image, problem="Expected another size.")
     assert [plane.facts["name"] for plane in bare.planes(PLANES, "raw")] == ["image"]
     assert bare.header()["problem"] == "Expected another size."
     assert "peak" not in bare.header()
@@ -202,7 +202,7 @@ def test_where_nothing_is_known_there_is_no_map_and_no_figure_but_the_findings(s
     words = Finding("not_this_gel", "This is another gel.", 1.0)
     unknown = replace(result, known=np.zeros_like(result.known), health=(words,))
     assert unknown.numbers is None
-    found = Shown(1, shown.frame, shown.image, unknown)
+    found = ShownFrame(1, shown.frame, shown.image, unknown)
     assert [plane.facts["name"] for plane in found.planes(PLANES, "raw")] == ["image"]
     header = found.header()
     assert (header["problem"], "peak" in header, "outlines" in header) == (words.message, False, False)
@@ -240,9 +240,9 @@ def test_the_surface_is_in_mm_and_the_picture_is_a_picture(saved, result):
 
 def test_only_files_that_can_be_made_are_offered(shown, result, monkeypatch):
     assert Snapshots.names(shown) == ["frame.png", "result.npz", "surface.ply", "picture.png"]
-    in_pixels = Shown(1, shown.frame, shown.image, replace(result, mm_per_px=None))
+    in_pixels = ShownFrame(1, shown.frame, shown.image, replace(result, mm_per_px=None))
     assert Snapshots.names(in_pixels) == ["frame.png", "result.npz", "picture.png"]
-    assert Snapshots.names(Shown(1, shown.frame, shown.image)) == ["frame.png"]
+    assert Snapshots.names(ShownFrame(1, shown.frame, shown.image)) == ["frame.png"]
     monkeypatch.setattr("gelform.live.shown.find_spec", lambda _: None)
     assert Snapshots.names(shown) == ["frame.png", "result.npz", "surface.ply"]
 
@@ -251,7 +251,7 @@ def test_old_ones_go_unknown_files_are_refused_and_without_a_result_there_is_the
     snapshots = Snapshots()
     first = snapshots.add(shown)
     for _ in range(KEPT_SNAPSHOTS):
-        last = snapshots.add(Shown(1, shown.frame, shown.image))
+        last = snapshots.add(ShownFrame(1, shown.frame, shown.image))
     for number, name in ((first, "result.npz"), (last, "../result.npz"), (99, "frame.png")):
         with pytest.raises(GelformError, match="no longer kept"):
             snapshots.file(number, name)

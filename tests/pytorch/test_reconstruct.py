@@ -34,7 +34,7 @@ torch = pytest.importorskip("torch", reason="needs the extra 'torch'")
 
 from gelform.torch import Reconstruct  # noqa: E402
 from gelform.torch.reconstruct import (  # noqa: E402
-    CoarseDepth,
+    CoarseDepthModule,
     ColorChange,
     ForwardStep,
     PoissonDepth,
@@ -221,7 +221,7 @@ def test_a_gel_at_rest_has_derivatives():
 )
 def test_depth_is_the_numpy_paths(shape, untouched):
     frames = [frame(shape, center, 7, 0.01) for center in ((20, 5), (12.5, shape[0] / 2))]
-    ours, theirs = CoarseDepth(shape, untouched), coarse.CoarseDepth(shape, untouched)
+    ours, theirs = CoarseDepthModule(shape, untouched), coarse.CoarseDepth(shape, untouched)
     changes, slopes = (batch(*maps) for maps in zip(*frames))
     found = ours(slopes, ours.rest(changes))
     for one, depth, full in zip(frames, found[:, 0], ours.in_full(found)[:, 0]):

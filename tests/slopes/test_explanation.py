@@ -8,7 +8,7 @@ import pytest
 import gelform
 from confidence import faults
 from gelform.simulate import Ball, Punch, simulate_press
-from gelform.slopes.budget import LEAST_WEIGHT, Budget, Explanation, Shown, explanation_of
+from gelform.slopes.budget import LEAST_WEIGHT, Budget, ExplainedImage, Explanation, explanation_of
 from gelform.slopes.sigma import CAUSES
 from made.images import PATCHED as SHAPE
 from made.images import patch
@@ -53,7 +53,7 @@ def shown_as(image=GRAY, color=(0.0, 0.0, 0.0), outliers=0.0, **frame):
     budget = Budget(read, read, zero, np.ones(SHAPE, np.float32), zero, outliers)
     usual = dict.fromkeys(("clipped", "markers", "lost", "outside"))
     change = np.broadcast_to(np.float32(color), GRAY.shape)
-    shown = Shown(pixels=image, color_change=change, blur_px=1.25, **{**usual, **frame})
+    shown = ExplainedImage(pixels=image, color_change=change, blur_px=1.25, **{**usual, **frame})
     return explanation_of(budget, rows, shown, 0.04)
 
 

@@ -156,7 +156,7 @@ COVERED = next(limit for limit in LIMITS if limit.name == "covered_percent")
 
 
 @dataclass(frozen=True)
-class Look:
+class JudgedImage:
     """The content of an image."""
 
     circle: Circle | None  # the contact (x, y, radius), px
@@ -195,7 +195,7 @@ class Judge:
         clicked: tuple[float, float] | None = None,
         *,
         by_templates: bool = True,
-    ) -> Look:
+    ) -> JudgedImage:
         """Judge an image (H, W, 3), given the accepted presses, and the center (x, y) that was clicked or None.
 
         A ball whose colors are hardly odd is sought by templates too, which takes longer.
@@ -207,9 +207,9 @@ class Judge:
         try:
             change, usable = self._changes(image)
         except CalibrationError as refusal:
-            return Look(None, True, moving, str(refusal))
+            return JudgedImage(None, True, moving, str(refusal))
         if _largest(change) < self._touched:
-            return Look(None, False, moving, "")
+            return JudgedImage(None, False, moving, "")
         contact = find_contact(change)
         if clicked is not None or by_templates:  # what the presses so far show elsewhere too is no ball
             mark, size = None if clicked is None else (*clicked, None), magnitude(about_median(change))
@@ -217,9 +217,11 @@ class Judge:
             self._looked = with_contacts([*self._accepted, PreparedPress(*known, mark=mark)])[-1]
             contact = self._looked.found
         if why_no_contact(contact) is None:
-            return Look(contact.circle_px, True, moving, self._reason(contact, accepted), contact.marked)
+            return JudgedImage(
+                contact.circle_px, True, moving, self._reason(contact, accepted), contact.marked
+            )
         reason = "No ball is clearly visible. Press it a little harder, straight down. Or click the middle of its imprint."
-        return Look(None, True, moving, reason)
+        return JudgedImage(None, True, moving, reason)
 
     def accept(self) -> None:
         """Take the last image as a press of the set, with which balls in later images are sought."""
@@ -351,7 +353,7 @@ class Guide:
         self._circles: list[Circle] = []
         self._click: tuple[float, float] | None = None
         self._verdicts: list[tuple[Circle, str]] = []
-        self._live: Look | None = None
+        self._live: JudgedImage | None = None
         self._still = 0
         self._lifted = True
         self._looked_at = 0.0

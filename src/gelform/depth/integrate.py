@@ -161,7 +161,7 @@ def integrate(
     region = zero_region(zero, shape)
     if level == "slope":
         g = g - np.stack([median_over(g[..., c], region) for c in (0, 1)], axis=-1)[..., None, None, :]
-    return Problem(
+    return IntegrationProblem(
         gradients=g,
         mm_per_px=check_mm_per_px(mm_per_px),
         weights=None if weights is None else check_weights(weights, g.shape[:-1]),
@@ -174,7 +174,7 @@ def integrate(
 
 
 @dataclass(frozen=True)
-class Problem:
+class IntegrationProblem:
     """Checked arguments of `integrate`, which explains them. A Reconstructor makes one of a frame's own values.
 
     All arrays are finite and in C order, slopes within what `check_slopes` allows, weights and anchor >= 0.
@@ -376,4 +376,6 @@ class FrameDepth:
         """The depth of a frame's slopes; it is 0 at rest."""
         anchor = self._anchor(slopes.gradients, slopes.at_rest, slopes.coarse_px)
         weights = slopes.weights(self._full)
-        return Problem(slopes.gradients, (self._pitch, self._pitch), weights, anchor=anchor).solved()
+        return IntegrationProblem(
+            slopes.gradients, (self._pitch, self._pitch), weights, anchor=anchor
+        ).solved()

@@ -152,7 +152,7 @@ def orientation_from_blocks(image: Map, untouched: Map) -> Orientation | None:
     return fitting[order[0]] if fits and first - others > MARGIN else None
 
 
-class Touch(NamedTuple):
+class SuspectedTouch(NamedTuple):
     """What looks like a touch in an image."""
 
     x_px: int
@@ -177,7 +177,7 @@ FINE_PX, COARSE_PX = 3.0, 12.0
 TOUCHED_ENERGY, TOUCHED_RATIO, TOUCHED_RATIO_OF_CHANGE = 0.07, 2.5, 6.0
 
 
-def touch_in(image: Array, untouched: Array | None = None) -> Touch | None:
+def touch_in(image: Array, untouched: Array | None = None) -> SuspectedTouch | None:
     """The place in an image of gel at rest (H, W, 3), 0-255, where something seems to touch it; None without one.
 
     The light on gel at rest is smooth, and a touch has structure that light has not. So the energy of the logarithm
@@ -194,7 +194,7 @@ def touch_in(image: Array, untouched: Array | None = None) -> Touch | None:
     inner = energy[top : height - top, left : width - left]
     y, x = np.unravel_index(int(inner.argmax()), inner.shape)
     most = float(inner[y, x])
-    found = Touch(int(x) + left, int(y) + top, most, most / max(float(np.median(inner)), 1e-9))
+    found = SuspectedTouch(int(x) + left, int(y) + top, most, most / max(float(np.median(inner)), 1e-9))
     # What is less than two images at rest differ by is noise, which is more where the light is weak.
     if most < REST_SIGMA or (most < TOUCHED_ENERGY and found.ratio < least):
         return None
@@ -202,7 +202,7 @@ def touch_in(image: Array, untouched: Array | None = None) -> Touch | None:
     return None if untouched is None and len(MarkerFollower(image)) else found
 
 
-def touch_in_first(image: Array, untouched: Array) -> Touch | None:
+def touch_in_first(image: Array, untouched: Array) -> SuspectedTouch | None:
     """`touch_in`, if the image itself, not `untouched`, has the structure; both are (H, W, 3), 0-255."""
     found = touch_in(image, untouched)
     if found is None:

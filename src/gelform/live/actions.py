@@ -24,7 +24,7 @@ from gelform.image.agreement import touch_in
 from gelform.image.background import USUAL_FRAMES
 from gelform.live.hub import GuideSession, Hub, starter_of_station
 from gelform.live.lists import Calibrations, Recordings, shown_name
-from gelform.live.shown import Shown
+from gelform.live.shown import ShownFrame
 from gelform.live.station import SETTABLE, MovedSince, Opening, Setup, Station
 from gelform.sensors.containers import is_data_set
 from gelform.sensors.films import is_film, open_film
@@ -94,7 +94,7 @@ def take_starter(hub: Hub, station: Station, sensor: str) -> None:
             hub.notice(_taken_from(1))
 
 
-def _frames_at_rest(station: Station) -> list[Shown]:
+def _frames_at_rest(station: Station) -> list[ShownFrame]:
     """The next frames for a background; a simulated sensor rests meanwhile, and the user keeps others at rest."""
     source = station.simulated
     if source is None:

@@ -18,7 +18,7 @@ from gelform import GelformError
 from gelform.calibration.starters import make_name, starter_names, starter_of_source
 from gelform.errors import Progress, counted
 from gelform.live.lists import Calibrations, Devices, Recordings
-from gelform.live.shown import Shown, Snapshots
+from gelform.live.shown import ShownFrame, Snapshots
 from gelform.live.station import Station
 from gelform.sensors.profiles import PROFILES
 from gelform.sensors.record import Recorder
@@ -270,7 +270,7 @@ class GuideSession:
         if self._simulated is not None:
             self._simulated.rest(False)
 
-    def _tap(self, shown: Shown) -> None:
+    def _tap(self, shown: ShownFrame) -> None:
         """Look at a frame; if that fails, the guide gets no more of them, and can still fit its presses."""
         try:
             self._look_at(shown)
@@ -278,7 +278,7 @@ class GuideSession:
             self._hub.notice(sentence_for_page(problem), "error")
             self.close()
 
-    def _look_at(self, shown: Shown) -> None:
+    def _look_at(self, shown: ShownFrame) -> None:
         """Look at a frame, and press the simulated sensor once for each target."""
         guide, now = self.guide, time.monotonic()
         guide.look_at(shown.frame)

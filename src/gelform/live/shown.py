@@ -27,7 +27,7 @@ from gelform import DataError, Frame, GelformError, Reconstruction, picture, sav
 from gelform.exchange.exporters.surface import MM_PER_LEVEL, ZERO_LEVEL, save_surface
 from gelform.foundations.files import picture_bytes
 from gelform.result.maps import MAP_PLANES
-from gelform.result.record import Numbers
+from gelform.result.record import ResultNumbers
 from gelform.sensors.playback import ReplayedFrame
 from gelform.slopes.budget import Explanation
 from gelform.slopes.sigma import CAUSES
@@ -145,7 +145,7 @@ def outlines_of(result: Reconstruction) -> list[list[int]]:
 
 
 @dataclass(eq=False)
-class Shown:
+class ShownFrame:
     """One frame of a station with its result, if there is one."""
 
     serial: int  # running number of the station's frames; larger is newer
@@ -160,7 +160,7 @@ class Shown:
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
-    def numbers(self) -> Numbers | None:
+    def numbers(self) -> ResultNumbers | None:
         """The numbers of the result; None without a result, or if nothing is known, and then no map is shown."""
         return None if self.result is None else self.result.numbers
 
@@ -244,11 +244,11 @@ class Snapshots:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._kept: dict[int, Shown] = {}
+        self._kept: dict[int, ShownFrame] = {}
         self._count = 0
 
     @staticmethod
-    def names(shown: Shown) -> list[str]:
+    def names(shown: ShownFrame) -> list[str]:
         """The files that a snapshot of a frame has here; the picture needs matplotlib, the surface a scale."""
         result, files = shown.result, ["frame.png"]
         if result is not None:
@@ -257,7 +257,7 @@ class Snapshots:
             files += ["picture.png"] if find_spec("matplotlib") is not None else []
         return files
 
-    def add(self, shown: Shown) -> int:
+    def add(self, shown: ShownFrame) -> int:
         """Keep a frame; return its number. Beyond 16 frames the oldest is dropped."""
         with self._lock:
             self._count += 1

@@ -16,7 +16,7 @@ import numpy as np
 
 from gelform.errors import GelformError, needed
 from gelform.live.hub import Hub
-from gelform.live.shown import Shown
+from gelform.live.shown import ShownFrame
 from gelform.robots.ros_messages import indentation_m
 
 HOST = "127.0.0.1"
@@ -27,7 +27,7 @@ class Sink(Protocol):
 
     how: str
 
-    def show(self, name: str, shown: Shown) -> None:
+    def show(self, name: str, shown: ShownFrame) -> None:
         """Show one frame of a sensor, in the feeder's thread; `name` is a path of letters, digits and _."""
 
     def close(self) -> None:
@@ -92,7 +92,7 @@ class RerunSink:
         self._recording.connect_grpc(f"rerun+http://{HOST}:{port}/proxy")
         self.how = f"Rerun: the viewer at {HOST}:{port} shows it."
 
-    def show(self, name: str, shown: Shown) -> None:
+    def show(self, name: str, shown: ShownFrame) -> None:
         """Send a frame to the viewer."""
         log, rerun = self._recording.log, self._rerun
         self._recording.set_time("taken", timestamp=shown.frame.wall_time_ns / 1e9)
@@ -136,7 +136,7 @@ class FoxgloveSink:
         self.address = f"ws://{HOST}:{self._server.port}"
         self.how = f"Foxglove: open a connection to {self.address} (WebSocket)."
 
-    def show(self, name: str, shown: Shown) -> None:
+    def show(self, name: str, shown: ShownFrame) -> None:
         """Send a frame to the connected clients."""
         stamp = shown.frame.wall_time_ns
         self._image(f"/{name}/image", shown.image, "rgb8", stamp)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform import Calibration, Frame, GelformError, Grabber, Motion, Reconstruction, Reconstructor
-from gelform.live.shown import Shown
+from gelform.live.shown import ShownFrame
 from gelform.motion.between import FOUND, LEAST_PX, LOST, NO_PRIOR, lost, moved, sensor_of
 from gelform.motion.track import Follower
 from gelform.sensors.cameras import CONTROLS, Camera
@@ -160,8 +160,10 @@ class Station:
         self.number, self.spec = number, spec
         self.opening = opening if isinstance(opening, Opening) else Opening(opening)
         self._on_shown, self._watched = on_shown, watched
-        self.newest: Shown | None = None
-        self.taps: list[Callable[[Shown], None]] = []  # called with each shown frame, in the station's thread
+        self.newest: ShownFrame | None = None
+        self.taps: list[
+            Callable[[ShownFrame], None]
+        ] = []  # called with each shown frame, in the station's thread
         self.turn = threading.Lock()  # held by the one action that changes the station
         self.paused = False  # whether a sensor's picture is held
         self.moved: MovedSince | None = None  # None if nobody asks
@@ -170,7 +172,7 @@ class Station:
         self._setup = Setup()
         self._first: tuple[Opening, Setup] | None = None  # while another source is shown
         self._grabber: Grabber | None = None
-        self._pipeline: Pipeline[Shown] | None = None
+        self._pipeline: Pipeline[ShownFrame] | None = None
         self.examine: Callable[[Work], None] = lambda work: work()  # does slow work of this and later setups
         self._missing = ""
         self._stop, self._switched = threading.Event(), threading.Event()
@@ -249,7 +251,7 @@ class Station:
         return self._grabber
 
     @property
-    def current(self) -> Shown:
+    def current(self) -> ShownFrame:
         """The newest frame; GelformError before the first one."""
         if self.newest is None:
             raise GelformError("There is no frame yet. Wait for the first one.")
@@ -275,15 +277,15 @@ class Station:
             return f"The sensor gives no frames: {self._grabber.reason}."
         return ""
 
-    def next_frames(self, count: int, timeout_s: float = 15.0) -> list[Shown]:
+    def next_frames(self, count: int, timeout_s: float = 15.0) -> list[ShownFrame]:
         """The next frames; of a held recording the current one.
 
         GelformError: they do not arrive in time, or the station shows no frames now; the message says why.
         """
         if self.player is not None and not self.player.playing:
             return [self.current]
-        got: SimpleQueue[Shown] = SimpleQueue()
-        found: list[Shown] = []
+        got: SimpleQueue[ShownFrame] = SimpleQueue()
+        found: list[ShownFrame] = []
         until_s = time.monotonic() + timeout_s
         self.taps.append(got.put)
         try:
@@ -397,7 +399,7 @@ class Station:
         unwatched = not (self._watched() or self.taps)
         return self.paused or (unwatched and time.monotonic() - self._begun_s < UNWATCHED_S)
 
-    def _show(self, shown: Shown) -> None:
+    def _show(self, shown: ShownFrame) -> None:
         moved, calibration = self.moved, self._setup.calibration
         if moved is not None and shown.result is not None and calibration is not None and self._watched():
             shown.motion = moved(shown.result, calibration.settings.place_error)
@@ -411,19 +413,19 @@ class Station:
                     self.taps.remove(tap)
         self._on_shown()
 
-    def reconstructed(self, frame: Frame, timed: Timed) -> Shown:
+    def reconstructed(self, frame: Frame, timed: Timed) -> ShownFrame:
         """The setup's result of a frame; if reconstruction fails, the frame and the reason."""
         memory, self._serial, self._begun_s = self._setup.memory, self._serial + 1, time.monotonic()
         alone = self.player is not None
         if memory is None:
-            return Shown(self._serial, frame, frame.image)
+            return ShownFrame(self._serial, frame, frame.image)
         try:
             given = memory.reconstructed(frame, timed, alone=alone)
         except (GelformError, ValueError) as problem:
-            return Shown(self._serial, frame, frame.image, problem=str(problem))
+            return ShownFrame(self._serial, frame, frame.image, problem=str(problem))
         if (numbers := given.result.numbers) is not None:
             self._numbers.append((self._serial, frame.time_s, *numbers.over_time.values()))
-        return Shown(
+        return ShownFrame(
             self._serial,
             frame,
             given.image,
@@ -432,7 +434,7 @@ class Station:
             learn=None if alone else partial(memory.learn_from, given),
         )
 
-    def learn_from(self, shown: Shown) -> None:
+    def learn_from(self, shown: ShownFrame) -> None:
         """Learn from the result of a sensor; frames of a recording are not learned from."""
         if shown.learn is not None:
             shown.learn()

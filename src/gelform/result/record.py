@@ -35,7 +35,7 @@ THUMBNAIL_PX = 240  # the picture's width in a notebook
 
 
 @dataclass(frozen=True)
-class Numbers:
+class ResultNumbers:
     """Numbers of one result: lengths in mm, or in widths of a pixel without a scale. Depth is that of known pixels."""
 
     peak: float  # largest depth
@@ -178,7 +178,7 @@ class Reconstruction:
         return self._labeled[0]
 
     @cached_property
-    def numbers(self) -> Numbers | None:
+    def numbers(self) -> ResultNumbers | None:
         """The deepest point, and the area and volume of all contacts; None if depth is known in no pixel."""
         known, depth, found = self.known, self.depth, self.contacts
         if not known.any():
@@ -190,7 +190,7 @@ class Reconstruction:
             area = float(sum(one.area_mm2 or 0.0 for one in found))
             volume = float(sum(one.volume_mm3 or 0.0 for one in found))
         lowest, deeper = float(depth[known].min()), may_be_deeper(~known & self.contact, depth, (x, y))
-        return Numbers(float(depth[y, x]), lowest, x, y, area, volume, len(found), touched, deeper)
+        return ResultNumbers(float(depth[y, x]), lowest, x, y, area, volume, len(found), touched, deeper)
 
     @property
     def contact_labels(self) -> NDArray[np.uint16]:

@@ -159,7 +159,7 @@ PRESS_S, HOLD_S = 0.35, 1.6  # s of a requested press: time of going in or out, 
 
 
 @dataclass(frozen=True, eq=False)
-class Touch:
+class PosedObject:
     """An object and its pose, in one image of the program."""
 
     indenter: Indenter
@@ -216,7 +216,7 @@ class SimulatedSource(Closing, FrameReader):
         self._linear = sensor.linear()
         self._objects = program(sensor)
         self._images = self._objects[0]
-        self._levels: dict[Touch, Array] = {}
+        self._levels: dict[PosedObject, Array] = {}
         self._pressed = lru_cache(maxsize=64)(self._levels_of_press)
         self._untouched = self._pressed(BALL, 0.0, 0.0, 0.0)
         self._asked: AskedPress | None = None
@@ -281,7 +281,7 @@ class SimulatedSource(Closing, FrameReader):
         touch = None if self.resting else images[at % len(images)]
         return self._untouched if touch is None else self._levels_of_touch(touch)
 
-    def _levels_of_touch(self, touch: Touch) -> Array:
+    def _levels_of_touch(self, touch: PosedObject) -> Array:
         if touch not in self._levels:
             self._levels[touch] = self._simulated(touch.indenter, touch.pose)
         return self._levels[touch]
@@ -307,7 +307,7 @@ class SimulatedSource(Closing, FrameReader):
             self._images = [*self._images, *images]
 
 
-def program(sensor: SimulatedSensor) -> list[list[Touch | None]]:
+def program(sensor: SimulatedSensor) -> list[list[PosedObject | None]]:
     """The touches of each object, image by image; None: nothing touches. Pressed objects leave the way they came."""
     height, width = (size * sensor.mm_per_px for size in sensor.shape)
     turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
@@ -317,7 +317,7 @@ def program(sensor: SimulatedSensor) -> list[list[Touch | None]]:
         Pose(max(d, 0.02), (ROLL * width * float(np.cos(a)), ROLL * height * float(np.sin(a))))
         for d, a in zip(depths_mm.tolist(), turn)
     ]
-    objects = [[*[None] * REST_IMAGES, *(Touch(BALL, pose) for pose in rolling)]]
+    objects = [[*[None] * REST_IMAGES, *(PosedObject(BALL, pose) for pose in rolling)]]
     for indenter, depth_mm, steps, spin_deg, tilt_deg in (
         (simulate.Coin(), 0.35, 14, 0.0, 0.0),
         (simulate.Screw(), 0.45, 14, 25.0, 0.0),
@@ -326,7 +326,7 @@ def program(sensor: SimulatedSensor) -> list[list[Touch | None]]:
     ):
         fractions = np.sin(np.linspace(0, np.pi / 2, steps + 1)[1:]) ** 2
         going_in = [
-            Touch(indenter, Pose(depth_mm * f, spin_deg=spin_deg * f, tilt_deg=(tilt_deg * f, 0.0)))
+            PosedObject(indenter, Pose(depth_mm * f, spin_deg=spin_deg * f, tilt_deg=(tilt_deg * f, 0.0)))
             for f in fractions.tolist()
         ]
         objects.append([*[None] * REST_IMAGES, *going_in, *going_in[::-1]])

@@ -364,7 +364,7 @@ def _steps(start: float | Pair, end: float | Pair, count: int) -> list[Any]:
 STEEPEST_RENDERED = 1.2  # mm/mm; calibrations are fitted up to about 1, and a cubic is meaningless beyond
 
 
-class Look(Protocol):
+class SensorLook(Protocol):
     """The response of one sensor to a surface, which a twin shows."""
 
     @property
@@ -426,19 +426,19 @@ class Twin:
 
     Parameters
     ----------
-    look : a Calibration, or any `Look`, such as another package's tables
+    look : a Calibration, or any `SensorLook`, such as another package's tables
     gel, relaxation_mm : of its gel; by default of a GelSight Mini's, fitted to ball presses
     """
 
     def __init__(
-        self, look: Calibration | Look, *, gel: Gel | None = None, relaxation_mm: float = 0.5
+        self, look: Calibration | SensorLook, *, gel: Gel | None = None, relaxation_mm: float = 0.5
     ) -> None:
         if not isinstance(look, Calibration) and not hasattr(look, "levels"):
             raise TypeError(
                 f"Expected a Calibration or a look with `levels`, got {type(look).__name__}. "
                 "From a file: gelform.load_calibration(path)."
             )
-        self.look: Look = CalibratedLook(look) if isinstance(look, Calibration) else look
+        self.look: SensorLook = CalibratedLook(look) if isinstance(look, Calibration) else look
         height, width = self.look.background.shape[:2]
         self.sensor = SimulatedSensor(
             (Led((0.0, 0.0, 1e3), (1.0, 1.0, 1.0)),),

@@ -335,7 +335,7 @@ class Explanation:
         }
 
 
-class Shown(NamedTuple):
+class ExplainedImage(NamedTuple):
     """What an image showed where slopes are uncertain, in maps (H, W); None: nowhere."""
 
     pixels: Image  # (H, W, 3) uint8, the raw image
@@ -348,7 +348,7 @@ class Shown(NamedTuple):
 
 
 def explanation_of(
-    budget: Budget, rows: Mapping[str, Floats], shown: Shown, full_confidence_sigma: float
+    budget: Budget, rows: Mapping[str, Floats], shown: ExplainedImage, full_confidence_sigma: float
 ) -> Explanation:
     """The rows of a frame's budget under the names of `CAUSES`; `rows` are those of `PreparedBudget.frame_rows`.
 

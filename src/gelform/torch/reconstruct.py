@@ -294,7 +294,7 @@ class LitGradients(nn.Module):
         return -g[:, :2] / torch.maximum(g[:, 2], steepest).clamp(min=1e-6)[:, None]
 
 
-class CoarseDepth(nn.Module):
+class CoarseDepthModule(nn.Module):
     """Least-squares depth of frames on a grid four times coarser, 0 at the median of the gel at rest.
 
     Pixels with a color change up to `untouched` count as gel at rest.
@@ -344,7 +344,7 @@ class ForwardStep(nn.Module):
         self.register_buffer("coefficients", planes(maps.reshape(*forward.shape, -1, 3), 2, 3))
         self.register_buffer("root", torch.from_numpy(forward.roots[0]))
         self.at_rest, self.per_slope = (sigma**2 for sigma in forward.step_sigma)
-        self.depth = CoarseDepth(forward.shape, untouched)
+        self.depth = CoarseDepthModule(forward.shape, untouched)
 
     def forward(self, color_change: Tensor, gradients: Tensor) -> Tensor:
         """The step for a color change (N, 3, H, W) and gradients (N, 2, H, W)."""

@@ -22,7 +22,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from gelform import GelformError
 from gelform.live import actions
 from gelform.live.hub import Hub, sentence_for_page
-from gelform.live.shown import ENCODINGS, PLANES, Shown, message
+from gelform.live.shown import ENCODINGS, PLANES, ShownFrame, message
 from gelform.live.station import Station
 from gelform.sensors.playback import Player
 
@@ -281,7 +281,7 @@ def watched_from(content: dict[str, Any]) -> Watched:
     return Watched(numbers, list(dict.fromkeys(planes)), content["encoding"], [small(one) for one in few])
 
 
-def _encoded(station: Station, shown: Shown, before: int, watched: Watched) -> bytes:
+def _encoded(station: Station, shown: ShownFrame, before: int, watched: Watched) -> bytes:
     numbers = thinned(station.numbers_since(before))
     header = {**shown.header(), "station": station.number, "numbers": [row[1:] for row in numbers]}
     planes = ("depth", "unknown") if station.number in watched.few else watched.planes
