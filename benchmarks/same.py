@@ -43,7 +43,6 @@ from speed.against import KEPT, ROOT, built
 from speed.against import digest as of_sources
 
 FRAMES, DRAWN_EVERY = 40, 8  # of a real set; and which of them are also explained and drawn for the page
-RENAMED = {"ResultNumbers": "Numbers"}  # class -> its name before
 MINI, DIGIT = "gelsight-mini", "digit"
 # Starter, mm per pixel, gel at rest, and images of a real set; a video's first frame is its gel at rest. Sets without a
 # starter are read by that of mini-ball, in its size: their depth is wrong, but their faults are real.
@@ -273,8 +272,7 @@ def drawn(reconstruct: gelform.Reconstructor, image: np.ndarray) -> Iterator[tup
 
 def digest(value: Any) -> str:
     """Of a value's type and content, to the bit; TypeError for what has no content of its own."""
-    name = type(value).__name__
-    sha = hashlib.sha256((RENAMED.get(name) or name).encode())
+    sha = hashlib.sha256(type(value).__name__.encode())
     if isinstance(value, np.ndarray):
         sha.update(f"{value.dtype} {value.shape}".encode() + np.ascontiguousarray(value).tobytes())
     elif isinstance(value, bytes):

@@ -106,8 +106,8 @@ def listing_of(
         # The folder below which the pattern searches: names do not depend on the number of matches.
         root = Path(*takewhile(lambda one: not glob.has_magic(one), root.parts))
         searched, what = "**" in path.parts, f"the pattern {path}"
-        found = [Path(one) for one in glob.glob(str(path), recursive=True)]
-        films = tuple(_of_files(found, hidden, dataset, root))
+        matches = [Path(one) for one in glob.glob(str(path), recursive=True)]
+        films = tuple(_of_files(matches, hidden, dataset, root))
     else:
         raise DataError(f"No file or folder {path}. Check the path; put a pattern in quotes.")
     if not films:
@@ -366,10 +366,10 @@ def backgrounds_of(path: Path | None) -> Backgrounds:
             f"Expected rows with the columns sequence and background in {path}. Name an image of the untouched "
             "gel for each sequence."
         )
-    found = {row["sequence"]: path.parent / file_of(path.parent, row["background"]) for row in rows}
-    if len(found) < len(rows):
-        raise DataError(f"Expected each sequence once in {path}, got {len(rows)} rows of {len(found)}.")
-    return Backgrounds(by_sequence=found)
+    paths = {row["sequence"]: path.parent / file_of(path.parent, row["background"]) for row in rows}
+    if len(paths) < len(rows):
+        raise DataError(f"Expected each sequence once in {path}, got {len(rows)} rows of {len(paths)}.")
+    return Backgrounds(by_sequence=paths)
 
 
 def background_of_file(path: Path, calibration: Calibration) -> NDArray[Any]:

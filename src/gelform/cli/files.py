@@ -155,9 +155,9 @@ def _circles_csv(rows: Any) -> bytes:
     for row in rows:
         circle = [f"{value:.2f}" for value in (row.center_x_px, row.center_y_px, row.contact_radius_px)]
         sigma = (row.center_sigma_px, row.contact_radius_sigma_px)
-        known = ["" if value is None else f"{value:.2f}" for value in sigma]
+        sigmas = ["" if value is None else f"{value:.2f}" for value in sigma]
         lines.append(
-            [row.name, f"{row.ball_diameter_mm:g}", *circle, *known, f"{row.accepted:d}", row.reason or ""]
+            [row.name, f"{row.ball_diameter_mm:g}", *circle, *sigmas, f"{row.accepted:d}", row.reason or ""]
         )
     return table_text(lines).encode()
 
@@ -213,9 +213,9 @@ class Inputs:
     def starter(self, serial: str, missing: GelformError, quiet: bool) -> gelform.Calibration:
         """The requested starter's calibration, announced to the user; raises `missing` with advice if none is requested."""
         if self.sensor is None or self.background is None:
-            known = ", ".join(options.STARTERS)
+            makes = ", ".join(options.STARTERS)
             raise type(missing)(
-                f"{missing} Or take a starter, with an image of the gel at rest: --sensor NAME ({known}) --background IMG."
+                f"{missing} Or take a starter, with an image of the gel at rest: --sensor NAME ({makes}) --background IMG."
             )
         made = starter_calibration(
             self.sensor, self.background, mm_per_px=self.mm_per_px, serial=serial or None

@@ -65,12 +65,12 @@ def draw_map(axes: Any, values: ArrayLike, title: str, **style: Any) -> Any:
 
     NaN, which means unknown, is hatched.
     """
-    shown = axes.imshow(values, interpolation="nearest", **style)
+    drawn = axes.imshow(values, interpolation="nearest", **style)
     _hatch_behind(axes)
     axes.set_title(title, fontsize=10, color=INK)
     axes.set_xticks([])
     axes.set_yticks([])
-    return shown
+    return drawn
 
 
 def _hatch_behind(axes: Any) -> None:

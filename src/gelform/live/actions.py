@@ -54,14 +54,14 @@ def take_background(hub: Hub, station: Station) -> None:
     if calibration.settings.starter is not None:
         take_starter(hub, station, calibration.settings.starter["sensor"])
         return
-    shown = _frames_at_rest(station)
-    taken = background_from_frames([one.image for one in shown])
+    frames = _frames_at_rest(station)
+    taken = background_from_frames([one.image for one in frames])
     # Whole gray levels, so that the background in a recording is exactly the image in use.
     rest = np.rint(taken.background).astype(np.float32)
     station.setup = station.setup.taking(calibration, station.setup.name, rest)
     touch = touch_in(taken.background, calibration.background)
     doubt = "" if touch is None else f" {touch.finding('the calibration').message} Undo goes back."
-    hub.notice(_taken_from(len(shown) - len(taken.left_out)) + doubt)
+    hub.notice(_taken_from(len(frames) - len(taken.left_out)) + doubt)
 
 
 def _taken_from(frames: int) -> str:
@@ -169,23 +169,23 @@ def set_camera(hub: Hub, station: Station, name: str, value: float) -> None:
         )
     if name not in SETTABLE:
         raise GelformError(f"Expected a setting among {', '.join(SETTABLE)}.")
-    found = float(source.set_controls({name: value})[name])
+    value_set = float(source.set_controls({name: value})[name])
     station.opening.wanted[name] = value
-    hub.notice(f"{name.replace('_', ' ').capitalize()} of {station.grabber.name}: {found:g}, read back.")
+    hub.notice(f"{name.replace('_', ' ').capitalize()} of {station.grabber.name}: {value_set:g}, read back.")
 
 
 def show_camera(hub: Hub, station: Station, camera: int) -> None:
     """Show a camera of the list on a station, with its newest calibration if there is one."""
-    found = hub.devices.camera(camera)
+    device = hub.devices.camera(camera)
     hub.check_idle(station)
     setup = Setup()
-    name = hub.calibrations.of_unit(unit_of_camera(found, hub.devices.cameras().values()))
+    name = hub.calibrations.of_unit(unit_of_camera(device, hub.devices.cameras().values()))
     if name is not None:
         setup = Setup(hub.calibrations[name], name)
-    hub.devices.show(station, found, setup)
+    hub.devices.show(station, device, setup)
     hub.end_guide(station)
     how = f"with its calibration {name}" if name else "without a calibration: none in the list has its serial"
-    hub.notice(f"Sensor {station.number + 1} now shows {found.name}, {how}.")
+    hub.notice(f"Sensor {station.number + 1} now shows {device.name}, {how}.")
 
 
 def press(hub: Hub, station: Station, x_px: float, y_px: float) -> None:
@@ -403,13 +403,13 @@ def _check_named_once(specs: Sequence[str]) -> None:
     for spec in specs:
         if simulated_sensor_of(spec) or is_film(spec):
             continue
-        camera, shown = device_of(spec), shown_address(spec)
+        camera, address = device_of(spec), shown_address(spec)
         if camera in named:
-            both = f"{shown!r} twice" if named[camera] == shown else f"{named[camera]!r} and {shown!r}"
+            both = f"{address!r} twice" if named[camera] == address else f"{named[camera]!r} and {address!r}"
             raise DataError(
                 f"Expected each camera once, got {both}, which is one camera. Any number of pages may show it."
             )
-        named[camera] = shown
+        named[camera] = address
 
 
 def _show(hub: Hub, number: int, spec: str, name: str, rate_hz: float, make: str) -> None:

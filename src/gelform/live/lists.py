@@ -53,9 +53,9 @@ class Devices:
 
     def camera(self, number: int) -> Camera:
         """The camera with a number of the list; GelformError if it is not connected."""
-        if (found := self.cameras().get(number)) is None:
+        if (camera := self.cameras().get(number)) is None:
             raise GelformError("That camera is no longer plugged in. Choose another one in the list.")
-        return found
+        return camera
 
     def show(self, station: Station, camera: Camera, setup: Setup) -> None:
         """Show a camera on a station; if several pages ask at once, the first one gets it.
@@ -75,11 +75,11 @@ class Devices:
     def facts(self) -> list[dict[str, Any]]:
         """The rows of the page's list: the stations' sources, and the connected cameras that no station shows."""
         stations = tuple(self._stations)
-        shown = {_key(one.camera) for one in stations if one.camera is not None}
+        shown_keys = {_key(one.camera) for one in stations if one.camera is not None}
         return [_row_of_station(one) for one in stations if one.player is None] + [
             _row(f"camera {number}", one.name, one.serial, "not shown", camera=number)
             for number, one in self.cameras().items()
-            if _key(one) not in shown
+            if _key(one) not in shown_keys
         ]
 
 
@@ -150,7 +150,7 @@ class Calibrations:
 
     def of_unit(self, unit: Unit) -> str | None:
         """The name of the newest listed calibration of a unit, or of the one that was in use; None if there is none."""
-        found: list[tuple[bool, str, str]] = []
+        matches: list[tuple[bool, str, str]] = []
         for name in self.names:
             try:
                 calibration = self[name]
@@ -158,8 +158,8 @@ class Calibrations:
                 continue  # the error of its file is reported when it is chosen
             if unit.is_calibrated_by(calibration):
                 in_use = bool(unit.digest) and calibration.digest == unit.digest
-                found.append((in_use, calibration.created_utc, name))
-        return max(found)[2] if found else None
+                matches.append((in_use, calibration.created_utc, name))
+        return max(matches)[2] if matches else None
 
     def __getitem__(self, name: str) -> Calibration:
         """The calibration with a name; GelformError if the name is unknown, or the file cannot be read."""
@@ -229,9 +229,9 @@ def files_of(folder: Path | None) -> list[Path]:
 
 def shown_name(name: str) -> str:
     """A name that every page can show and send back: no control codes, no bytes that are no text, not too long."""
-    shown = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in name)
+    printable = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in name)
     # A page's message holds 200 letters.
-    return shown if len(shown) <= 150 else f"{shown[:75]}...{shown[-75:]}"
+    return printable if len(printable) <= 150 else f"{printable[:75]}...{printable[-75:]}"
 
 
 def _is_below(path: Path, folder: Path) -> bool:

@@ -136,9 +136,9 @@ KEPT_SNAPSHOTS = 16
 
 def outlines_of(result: Reconstruction) -> list[list[int]]:
     """An outline of each contact, also of one inside a ring: x, y, x, y ... in px of the image; the 32 largest of many."""
-    found, inside = cv2.findContours(result.contact.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    parents = inside[0, :, 3] if found else ()
-    outer = [one for one, parent in zip(found, parents) if parent < 0]  # no edges of holes
+    contours, inside = cv2.findContours(result.contact.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    parents = inside[0, :, 3] if contours else ()
+    outer = [one for one, parent in zip(contours, parents) if parent < 0]  # no edges of holes
     largest = sorted(outer, key=len, reverse=True)[:32]
     # An outline is at most 0.6 px away from the edge of the pixels.
     return [cv2.approxPolyDP(outline, 0.6, True).ravel().tolist() for outline in largest]
@@ -218,9 +218,11 @@ class ShownFrame:
             facts["replay"] = [self.frame.number, self.frame.recorded_s]
         if result is None:
             return facts
-        facts["health"] = [[found.name, found.message, float(found.figure)] for found in result.health]
+        facts["health"] = [
+            [finding.name, finding.message, float(finding.figure)] for finding in result.health
+        ]
         if numbers is None:
-            return facts | {"problem": " ".join(found.message for found in result.health)}
+            return facts | {"problem": " ".join(finding.message for finding in result.health)}
         pitch, markers = result.mm_per_px, result.markers
         rows: Any = [] if markers is None else np.hstack([markers.rest_px, markers.now_px])[markers.seen]
         return facts | {

@@ -227,11 +227,11 @@ def read_sensor_toml(path: str | Path) -> SensorSettings:
 
 
 def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
-    known = [field.name for field in fields(SensorSettings)]
-    unknown = [key for key in settings if key not in known]
+    keys = [field.name for field in fields(SensorSettings)]
+    unknown = [key for key in settings if key not in keys]
     if unknown:
-        raise ValueError(f"Expected keys among {', '.join(known)}, got {', '.join(unknown)}.")
-    missing = [key for key in known[:2] if key not in settings]
+        raise ValueError(f"Expected keys among {', '.join(keys)}, got {', '.join(unknown)}.")
+    missing = [key for key in keys[:2] if key not in settings]
     if missing:
         raise ValueError(f"Expected the keys name and mm_per_px, {' and '.join(missing)} missing.")
     texts = {key: settings[key] for key in ("name", "serial", "gel_id", "make") if key in settings}
@@ -264,15 +264,15 @@ def _sensor_settings(settings: dict[str, Any]) -> SensorSettings:
 
 def _measured(table: dict[str, Any]) -> dict[str, Any]:
     """The table `[measured]`: two texts, two matrices."""
-    known = {"scale": str, "lens": str, "crosstalk": list, "crosstalk_spread": list}
-    unknown = [key for key in table if key not in known]
+    kinds = {"scale": str, "lens": str, "crosstalk": list, "crosstalk_spread": list}
+    unknown = [key for key in table if key not in kinds]
     if unknown:
-        raise ValueError(f"Expected keys of [measured] among {', '.join(known)}, got {', '.join(unknown)}.")
+        raise ValueError(f"Expected keys of [measured] among {', '.join(kinds)}, got {', '.join(unknown)}.")
     for key, value in table.items():
-        if not isinstance(value, known[key]):
-            raise ValueError(f"Expected {key} of [measured] as {known[key].__name__}, got {value!r}.")
+        if not isinstance(value, kinds[key]):
+            raise ValueError(f"Expected {key} of [measured] as {kinds[key].__name__}, got {value!r}.")
         try:
-            numbers = np.zeros((3, 3)) if known[key] is str else np.asarray(value, dtype=np.float64)
+            numbers = np.zeros((3, 3)) if kinds[key] is str else np.asarray(value, dtype=np.float64)
         except (TypeError, ValueError):
             numbers = np.empty(0)
         if numbers.shape != (3, 3) or not np.isfinite(numbers).all():

@@ -195,8 +195,8 @@ def check_gel_width(image_shape: tuple[int, int], mm_per_px: float, make: str | 
     profile, width = PROFILES.get(make or ""), max(image_shape)
     low, high = GEL_MM
     if profile is not None:
-        known = max(profile.image_shape) * profile.mm_per_px
-        low, high = known / MAKE_FACTOR, MAKE_FACTOR * known
+        width_mm = max(profile.image_shape) * profile.mm_per_px
+        low, high = width_mm / MAKE_FACTOR, MAKE_FACTOR * width_mm
     of = "a gel" if profile is None else f"the gel of a {profile.name}"
     got = f"{width} px of {mm_per_px:g} mm: {width * mm_per_px:.3g} mm"
     remedy = (

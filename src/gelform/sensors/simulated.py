@@ -124,11 +124,11 @@ def _led(table: Mapping[str, Any]) -> Led:
 def _check(given: Mapping[str, Any], kind: Any, where: str, own: Sequence[str] = ()) -> None:
     """Refuse unknown keys and values of another type than the default, such as words for numbers."""
     defaults = {field.name: field.default for field in fields(kind)}
-    known = (*own, *defaults)
+    keys = (*own, *defaults)
     for key, value in given.items():
-        if key not in known:
+        if key not in keys:
             raise ValueError(
-                f"Unknown key {key!r} in {where}.{_nearest(key, known)} Known: {', '.join(known)}."
+                f"Unknown key {key!r} in {where}.{_nearest(key, keys)} Known: {', '.join(keys)}."
             )
         wanted, kinds = next((row for row in KINDS if isinstance(defaults.get(key), row[1])), ("", object))
         if value is not None and not isinstance(value, kinds):

@@ -33,7 +33,7 @@ from gelform.sensors.cameras import Camera
 from gelform.sensors.films import open_film
 from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.record import attached_calibration
-from gelform.sensors.simulated import SimulatedSource, Touch
+from gelform.sensors.simulated import PosedObject, SimulatedSource
 from gelform.simulate import Pose, text_relief
 from live_waiting import held, until
 from made.sources import recorded
@@ -273,7 +273,7 @@ STEPS = 8
 def touch(station, step):
     """Hold the letters at a step of their way, and wait for it to be shown."""
     source = station.source
-    held = Touch(LETTERS, Pose(0.35, (0.2 * step - 1, 0.1 * step - 0.5), spin_deg=0.7 * step))
+    held = PosedObject(LETTERS, Pose(0.35, (0.2 * step - 1, 0.1 * step - 0.5), spin_deg=0.7 * step))
     source._levels_now = lambda _: source._levels_of_touch(held)
     before = station.newest.serial
     until(lambda: station.newest.serial > before + 4)

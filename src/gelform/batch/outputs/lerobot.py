@@ -177,8 +177,8 @@ class LerobotVideo(PartWriter):
 
 def episode_of(sequence: str) -> tuple[str, int]:
     """The camera and the episode in the name of a LeRobot sequence; DataError for another name."""
-    key, found, number = sequence.rpartition("/episode_")
-    if not (key and found and number.isdecimal()):
+    key, separator, number = sequence.rpartition("/episode_")
+    if not (key and separator and number.isdecimal()):
         raise DataError(
             f"Expected an episode of a LeRobot data set, got {sequence or 'a folder of images'}. Write another format."
         )
@@ -281,7 +281,7 @@ def _to_copy(source: Path) -> Iterator[Path]:
 
 def _forces(episodes: Episodes) -> Vectors:
     """The force on each camera's gel, 0 where it is not known, and whether it is; empty if no loads were calibrated."""
-    found: Vectors = {}
+    vectors: Vectors = {}
     for key, of in episodes.items():
         if any(one["forces"] for one in of.values()):
             unknown = [[None] * len(AXES)]
@@ -289,10 +289,10 @@ def _forces(episodes: Episodes) -> Vectors:
                 number: np.array(one["forces"] or unknown * one["length"], dtype=np.float64)
                 for number, one in of.items()
             }
-            found[force_key(key)] = {number: np.nan_to_num(rows) for number, rows in force.items()}
+            vectors[force_key(key)] = {number: np.nan_to_num(rows) for number, rows in force.items()}
             known = {number: np.isfinite(rows).astype(float) for number, rows in force.items()}
-            found[f"{force_key(key)}_known"] = known
-    return found
+            vectors[f"{force_key(key)}_known"] = known
+    return vectors
 
 
 def _write_with_forces(path: Path, target: Path, forces: Vectors) -> None:
@@ -319,9 +319,9 @@ def _write_with_forces(path: Path, target: Path, forces: Vectors) -> None:
 def _of_vectors(rows: NDArray[np.float64]) -> dict[str, Any]:
     """Statistics of vectors (frames, 3), in LeRobot's shapes."""
     measures: dict[str, Any] = {"min": np.min, "max": np.max, "mean": np.mean, "std": np.std}
-    found: dict[str, Any] = {name: measure(rows, axis=0).tolist() for name, measure in measures.items()}
+    figures: dict[str, Any] = {name: measure(rows, axis=0).tolist() for name, measure in measures.items()}
     quantiles = np.quantile(rows, list(QUANTILES.values()), axis=0).tolist()
-    return {**found, "count": [len(rows)], **dict(zip(QUANTILES, quantiles))}
+    return {**figures, "count": [len(rows)], **dict(zip(QUANTILES, quantiles))}
 
 
 def _table(path: Path, episodes: Episodes, forces: Vectors) -> bytes:

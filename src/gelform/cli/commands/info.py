@@ -114,10 +114,10 @@ def _cameras() -> list[str]:
     from gelform.sensors.cameras import cameras_there
 
     try:
-        found = cameras_there()
+        cameras = cameras_there()
     except (GelformError, OSError) as problem:
         return [f"not known: {problem}"]
-    return [f"{one.name} ({one.usb_id or 'not on USB'}, {one.kind or 'no known sensor'})" for one in found]
+    return [f"{one.name} ({one.usb_id or 'not on USB'}, {one.kind or 'no known sensor'})" for one in cameras]
 
 
 Facts = Mapping[str, Any]
@@ -268,25 +268,25 @@ def _recording(path: Path) -> dict[str, Any]:
 
 
 def _result(path: Path) -> dict[str, Any]:
-    found = gelform.load_result(path)
-    numbers, unit = found.numbers, "depth_mm" if found.mm_per_px is not None else "depth_px"
+    loaded = gelform.load_result(path)
+    numbers, unit = loaded.numbers, "depth_mm" if loaded.mm_per_px is not None else "depth_px"
     return {
         "kind": "result",
-        "size_px": list(found.shape),
-        "mm_per_px": found.mm_per_px,
-        "mm_per_px_sigma": found.mm_per_px_sigma,
+        "size_px": list(loaded.shape),
+        "mm_per_px": loaded.mm_per_px,
+        "mm_per_px_sigma": loaded.mm_per_px_sigma,
         unit: numbers and [round(numbers.lowest, 4), round(numbers.peak, 4)],
         "at_least": numbers is not None and numbers.at_least,
-        "contact_px": int(found.contact.sum()),
-        "contacts": [asdict(contact) for contact in found.contacts],
-        "roughness": _roughness(found),
-        "markers": None if found.markers is None else found.markers.facts(),
-        "known_px": int(found.known.sum()),
-        "zero": found.zero,
-        "solver": found.solver,
-        "curl_rms": found.curl_rms,
-        "findings": [finding.message for finding in found.health],
-        "calibration": found.calibration_digest,
+        "contact_px": int(loaded.contact.sum()),
+        "contacts": [asdict(contact) for contact in loaded.contacts],
+        "roughness": _roughness(loaded),
+        "markers": None if loaded.markers is None else loaded.markers.facts(),
+        "known_px": int(loaded.known.sum()),
+        "zero": loaded.zero,
+        "solver": loaded.solver,
+        "curl_rms": loaded.curl_rms,
+        "findings": [finding.message for finding in loaded.health],
+        "calibration": loaded.calibration_digest,
     }
 
 
@@ -398,7 +398,7 @@ def _calibration_lines(facts: Facts) -> Lines:
         if name != "shape"  # part of the line about images
     )
     held_out = facts.get("held_out") or {}
-    known = [form.format(held_out[name]) for name, form in HELD_OUT.items() if name in held_out]
+    figures = [form.format(held_out[name]) for name, form in HELD_OUT.items() if name in held_out]
     force = (facts.get("force") or {}).get("normal")
     noise, sigma = "not known", facts.get("slope_sigma")
     if sigma:  # the figures by slope, which --json has, are factors where the color model has a step
@@ -413,7 +413,7 @@ def _calibration_lines(facts: Facts) -> Lines:
         ("view", _said(facts["view"]) if facts.get("view") else "none: a frame is used as the image"),
         ("color model", f"{facts['color_model']} ({settings})" if settings else facts["color_model"]),
         *_made_from(facts),
-        ("held out", ", ".join(known) or "no errors on held-out presses are known"),
+        ("held out", ", ".join(figures) or "no errors on held-out presses are known"),
         ("slope noise", noise),
         ("force", force and f"{counted(force['loads'], 'load')} up to {force['range'][1]:.3g} N"),
         ("made", f"{facts['created_utc']}, by gelform {facts['library_version']}"),

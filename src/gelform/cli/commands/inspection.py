@@ -59,11 +59,13 @@ def evaluate(
 
     loaded = gelform.load_calibration(calibration)
     with shown.progress() as progress:
-        found = gelform.read_presses(presses, **vars(given), progress=progress)
+        press_set = gelform.read_presses(presses, **vars(given), progress=progress)
         sizes = list(dict.fromkeys([loaded.image_shape, loaded.view.frame_shape or loaded.image_shape]))
-        if found.image_shape not in sizes:
-            raise DataError(f"{found.folder}: Expected images of {other_size(found.image_shape, sizes)}")
-        evaluation = gelform.evaluate(loaded, found, progress=progress)
+        if press_set.image_shape not in sizes:
+            raise DataError(
+                f"{press_set.folder}: Expected images of {other_size(press_set.image_shape, sizes)}"
+            )
+        evaluation = gelform.evaluate(loaded, press_set, progress=progress)
     if evaluation.seen:
         say(
             f"warning: the calibration was made from {evaluation.seen} of these presses. Their errors say little about new "
@@ -217,8 +219,8 @@ def explain(
 
         image = given.image(path, run.calibration)
         with named(path):
-            found = run.explain(image)
-        return found.to_dict(), lambda: explanation_picture(found, image)
+            explanation = run.explain(image)
+        return explanation.to_dict(), lambda: explanation_picture(explanation, image)
 
     rows = _rows_of_images(pictures, explained, "explaining", shown, overwrite=overwrite)
     for row in rows:

@@ -212,14 +212,16 @@ def _write(
 
 def _row(result: gelform.Reconstruction, path: Path, results: dict[str, Path]) -> dict[str, Any]:
     """The figures of one result, for JSON and for the table: in pixels if the scale is unknown, None if depth is."""
-    found = result.numbers
-    peak, area, pixels = (None, None, None) if found is None else (found.peak, found.area, found.contact_px)
+    numbers = result.numbers
+    peak, area, pixels = (
+        (None, None, None) if numbers is None else (numbers.peak, numbers.area, numbers.contact_px)
+    )
     lengths = {"peak_px": peak} if result.mm_per_px is None else {"peak_mm": peak, "contact_mm2": area}
     return {
         "image": str(path),
         "outputs": [str(one) for one in results.values()],
         **lengths,
-        "at_least": found is not None and found.at_least,
+        "at_least": numbers is not None and numbers.at_least,
         "contact_px": pixels,
         "contacts": [asdict(contact) for contact in result.contacts],
         "markers": None if result.markers is None else result.markers.facts(),
@@ -229,9 +231,9 @@ def _row(result: gelform.Reconstruction, path: Path, results: dict[str, Path]) -
 
 
 def _report(rows: Sequence[dict[str, Any]], shown: ShownOption) -> None:
-    found = [finding for row in rows for finding in row["findings"]]
-    first = {finding["name"]: finding["message"] for finding in reversed(found)}
-    for name, count in Counter(finding["name"] for finding in found).items():
+    findings = [finding for row in rows for finding in row["findings"]]
+    first = {finding["name"]: finding["message"] for finding in reversed(findings)}
+    for name, count in Counter(finding["name"] for finding in findings).items():
         say(f"warning ({count} of {counted(len(rows), 'image')}): {first[name]}")
     scaled = all("peak_mm" in row for row in rows)
     lengths = {"peak_mm": "peak (mm)", "contact_mm2": "contact (mm²)"}

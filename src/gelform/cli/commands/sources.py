@@ -86,16 +86,16 @@ def cameras(
     """
     from gelform.sensors.cameras import NOTHING_THERE, cameras_there
 
-    found = [_camera_facts(camera, measure) for camera in cameras_there()]
+    rows = [_camera_facts(camera, measure) for camera in cameras_there()]
     if shown.as_json:
-        print_json({"cameras": found})
+        print_json({"cameras": rows})
         return
-    if not found:
+    if not rows:
         shown.say(NOTHING_THERE)
         return
     columns = ("name", "serial", "path", "sensor")
-    shown.table("Cameras", {**dict(zip(columns, columns)), "rate_hz": "measured Hz"}, found)
-    for one in found:
+    shown.table("Cameras", {**dict(zip(columns, columns)), "rate_hz": "measured Hz"}, rows)
+    for one in rows:
         if one["problem"]:
             shown.say(f"{one['path']}: {one['problem']}")
 
@@ -287,8 +287,8 @@ def _at_rest(grabber: gelform.Grabber, key: Callable[[], str], settings: Any) ->
     images = _fresh(grabber, BACKGROUND_FRAMES)
     rest = gelform.background_from_frames(images).background
     image = gelform.image_from_frame(rest, settings.view)
-    if found := surround_finding(image, "--crop {}", viewed=not settings.view.is_identity):
-        say(f"note: {found.message}")
+    if finding := surround_finding(image, "--crop {}", viewed=not settings.view.is_identity):
+        say(f"note: {finding.message}")
     if starter_for(settings.name, image.shape[:2]) is not None and (touch := touch_in(image)):
         said = touch.finding("smooth light").message
         say(f"Not taken. {said} Press the space bar again; it is taken then.")

@@ -109,8 +109,8 @@ class Guard:
         repeated = any(len(headers.getlist(name)) > 1 for name in ("host", "origin", "sec-fetch-site"))
         if repeated or host is None or not self._access.host_allowed(host):
             return 421, "This server does not answer to that host. Open the address that the terminal shows."
-        own = f"http://{host.lower()}"
-        foreign = scope["type"] == "websocket" if origin is None else origin.lower() != own
+        own_origin = f"http://{host.lower()}"
+        foreign = scope["type"] == "websocket" if origin is None else origin.lower() != own_origin
         # A user may follow a link to the page from anywhere, which only shows the page.
         visit = headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
         across = headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
@@ -182,12 +182,12 @@ def make_app(hub: Hub, access: Access) -> Any:
     async def session(request: Request) -> Response:
         """Exchange the token for a cookie that scripts cannot read."""
         try:
-            given = await asyncio.wait_for(_body(request), 5.0)
+            token = await asyncio.wait_for(_body(request), 5.0)
         except ClientDisconnect:
             return Response(status_code=400)
         except asyncio.TimeoutError:  # an alias of TimeoutError since Python 3.11
             return Response(status_code=408, headers={"connection": "close"})
-        if given is None or not access.token_allowed(given):
+        if token is None or not access.token_allowed(token):
             return Response("Wrong token. Open the address that the terminal shows.", 401)
         answer = Response(status_code=204, headers={"cache-control": "no-store"})
         if access.token is not None:
