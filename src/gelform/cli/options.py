@@ -83,22 +83,8 @@ def ball_diameter(text: str) -> float:
         return check_ball_diameter(positive(text))
 
 
-FILE_ENDINGS = (
-    *(
-        ".npz",
-        ".npy",
-        ".png",
-        ".jpg",
-        ".jpeg",
-        ".tif",
-        ".tiff",
-        ".csv",
-        ".parquet",
-        ".json",
-        ".toml",
-        ".html",
-    ),
-    *(".pdf", ".zip", ".mcap", ".h5", ".hdf5", ".mp4", ".avi", ".ply", ".stl", ".x3p"),
+FILE_ENDINGS = tuple(
+    ".npz .npy .png .jpg .jpeg .tif .tiff .csv .parquet .json .toml .html .pdf .zip .mcap .h5 .hdf5 .mp4 .avi .ply .stl .x3p".split()
 )
 
 

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from gelform.errors import DataError, needed, said
 from gelform.foundations.files import MAX_TEXT_BYTES, bytes_of
 
-BLOCK_FRAMES = 64  # limit of one read
-MAX_FRAMES = 10**7  # of a sequence: two days at 60 per second; more is a damaged number
+MAX_FRAMES = 10_000_000  # of a sequence: two days at 60 per second; more is a damaged number
 DAMAGED = (OSError, ValueError, RuntimeError)  # errors of h5py and zarr for a chunk that cannot be decoded
 NODES = (".zgroup", ".zarray", "zarr.json")  # metadata in the folder of a Zarr group or array
 OF_DATA_SETS = "--dataset is of HDF5 files, Zarr stores and LeRobot data sets"
@@ -127,7 +126,7 @@ def blocks(dataset: Any, start: int, count: int, chunk: int) -> Iterator[NDArray
     Whole chunks are read in blocks, so that no chunk is decompressed once per frame.
     """
     frame_bytes = max(1, int(np.prod(dataset.shape[1:])) * dataset.dtype.itemsize)
-    length = max(1, min(chunk, BLOCK_FRAMES, (1 << 26) // frame_bytes))  # at most 64 MB
+    length = max(1, min(chunk, (1 << 26) // frame_bytes))  # at most 64 MB
     for first in range(start, start + count, length):
         stop = min(first + length, start + count)
         try:
@@ -250,7 +249,7 @@ def container_values(path: Path, dataset: str, start: int, count: int) -> Iterat
         if dataset not in group:
             raise DataError(f"Expected {dataset} in {path}, got none.")
         values = group[dataset]
-        yield from blocks(values, start, count, (values.chunks or (BLOCK_FRAMES,))[0])
+        yield from blocks(values, start, count, (values.chunks or (1,))[0])
 
 
 def _check_stored(path: Path, dataset: Any) -> None:

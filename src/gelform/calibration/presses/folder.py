@@ -46,7 +46,7 @@ from gelform.foundations.files import (
     way_for,
 )
 from gelform.image.view import Frame, View, image_from_frame, image_px_from_frame_px, rgb_from_bgr
-from gelform.sensors.containers import OF_DATA_SETS, is_data_set
+from gelform.sensors.containers import is_data_set
 from gelform.sensors.files import (
     FILM_SUFFIXES,
     SensorSettings,
@@ -196,7 +196,7 @@ def read_presses(
     rest = None if background is None else check_path(background, "background as a path")
     options = ReadOptions(sensor, mm_per_px, ball_diameter_mm, rest, crop, bgr)
     kind = kind_of_presses(place)
-    if kind == VIDEO:
+    if kind == VIDEO or dataset:  # of another kind of path, it is refused there
         at_rest = None if rest is None else read_background(rest, bgr=bgr)
         return _presses_of_film(open_film(place, bgr=bgr, dataset=dataset), place, options, at_rest, progress)
     if kind is None:
@@ -207,8 +207,6 @@ def read_presses(
             f"Expected a folder of presses, a video, a recording (*.mcap), a data set or a Taxim dataPack.npz, got {place}, "
             f"which is {is_what}.{way_for(place) if place.exists() else ''}"
         )
-    if dataset:
-        raise DataError(f"{OF_DATA_SETS} ({dataset}); got {place}. Leave it out.")
     refuse_bag(place)
     _, source = LAYOUTS[kind]
     return _presses_of_images(source(place, options), place, options, progress)
