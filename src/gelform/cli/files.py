@@ -281,7 +281,7 @@ class FilmInputs(Inputs):
 
     @property
     def reading(self) -> dict[str, Any]:
-        """Keywords of `open_source`: how its frames are read."""
+        """Keywords of `open_source`."""
         return {"bgr": self.bgr, "dataset": self.dataset}
 
 

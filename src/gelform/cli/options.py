@@ -83,8 +83,9 @@ def ball_diameter(text: str) -> float:
         return check_ball_diameter(positive(text))
 
 
-FILE_ENDINGS = tuple(
-    ".npz .npy .png .jpg .jpeg .tif .tiff .csv .parquet .json .toml .html .pdf .zip .mcap .h5 .hdf5 .mp4 .avi .ply .stl .x3p".split()
+FILE_ENDINGS = (
+    *(".npz", ".npy", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".csv", ".parquet", ".json", ".toml"),
+    *(".html", ".pdf", ".zip", ".mcap", ".h5", ".hdf5", ".mp4", ".avi", ".ply", ".stl", ".x3p"),
 )
 
 
@@ -177,6 +178,14 @@ Bgr = Annotated[bool, Option("--bgr", help="The frames are blue, green, red, as 
 Dataset = Annotated[str, option("PATH", "Where frames are in HDF5, Zarr, LeRobot; * stands for one name.")]
 Seconds = Annotated[float | None, number("Duration in seconds; else to the end or Ctrl-C.")]
 Seed = Annotated[int, Option(min=0, help="Seed of the random numbers.")]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How the frames of a source are read: keywords of `open_source`."""
+
+    bgr: Bgr = False
+    dataset: Dataset = ""
 
 
 @dataclass(frozen=True)

@@ -160,8 +160,7 @@ def record(
             help="Camera setting: exposure, gain, white_balance, led_level, width, height, fps, fourcc. Of simulated: fps.",
         ),
     ] = None,
-    bgr: options.Bgr = False,
-    dataset: options.Dataset = "",
+    reading: options.Reading,
     shown: ShownOption,
 ) -> None:
     """Record a camera's frames, or presses for a calibration.
@@ -180,8 +179,7 @@ def record(
       gelform record D20123 --presses -o presses --ball-diameter-mm 6.35 --sensor digit
     """
     camera = _camera_settings(set_ or [])
-    reading: dict[str, Any] = {"settings": camera or None, "bgr": bgr, "dataset": dataset}
-    opened = partial(gelform.open_source, source, paced=True, **reading)
+    opened = partial(gelform.open_source, source, paced=True, settings=camera or None, **vars(reading))
     if taken.presses:
         _presses(opened, output, taken, shown)
         return
@@ -360,8 +358,8 @@ def live(
         options.calibration("Calibration of each sensor, in order. Default: the newest of its serial."),
     ] = None,
     sensor: options.StarterSensor = None,
-    bgr: options.Bgr = False,
-    dataset: options.Dataset = "",
+    *,
+    reading: options.Reading,
     folder: Annotated[
         Path, option("DIR", "Folder of the offered calibrations and of new recordings.")
     ] = Path("."),
@@ -404,7 +402,7 @@ def live(
 
     server = listen(host, port, token=token)
     with mistakes_in("live"):
-        hub = start(sources or ["simulated"], calibration or [], folder, rate, sensor, bgr, dataset)
+        hub = start(sources or ["simulated"], calibration or [], folder, rate, sensor, **vars(reading))
     try:
         with mistakes_in("--sink"):
             feeders, said = feed(hub, sink or [])
