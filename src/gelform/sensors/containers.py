@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from gelform.errors import DataError, needed, said
 from gelform.foundations.files import MAX_TEXT_BYTES, bytes_of
 
+BLOCK_BYTES = 1 << 26  # read at once; a chunk, which is decompressed as a whole, has at most 16 times as many
 MAX_FRAMES = 10_000_000  # of a sequence: two days at 60 per second; more is a damaged number
 DAMAGED = (OSError, ValueError, RuntimeError)  # errors of h5py and zarr for a chunk that cannot be decoded
 NODES = (".zgroup", ".zarray", "zarr.json")  # metadata in the folder of a Zarr group or array
@@ -126,7 +127,7 @@ def blocks(dataset: Any, start: int, count: int, chunk: int) -> Iterator[NDArray
     Whole chunks are read in blocks, so that no chunk is decompressed once per frame.
     """
     frame_bytes = max(1, int(np.prod(dataset.shape[1:])) * dataset.dtype.itemsize)
-    length = max(1, min(chunk, (1 << 26) // frame_bytes))  # at most 64 MB
+    length = max(1, min(chunk, BLOCK_BYTES // frame_bytes))
     for first in range(start, start + count, length):
         stop = min(first + length, start + count)
         try:
@@ -264,7 +265,7 @@ def _check_stored(path: Path, dataset: Any) -> None:
             "the frames that are there."
         )
     chunk = int(np.prod(dataset.chunks or (1, *shape), dtype=object)) * dataset.dtype.itemsize
-    if chunk > 1 << 30:
+    if chunk > 16 * BLOCK_BYTES:
         raise DataError(
             f"{dataset.name} in {path} has chunks of {chunk / 1e9:.3g} GB, each of which is decompressed as a whole. Write "
             "it again in chunks of a few frames."
