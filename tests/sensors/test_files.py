@@ -87,8 +87,9 @@ def test_a_name_that_is_no_utf_8_is_refused_everywhere(odd_name, calibration, tm
         with pytest.raises(DataError, match=r"udcff.avi' is no UTF-8. Rename it"):
             reader(odd_name)
     calibration.save(tmp_path / "cal.npz")
-    after = ["-c", str(tmp_path / "cal.npz"), "-o", str(tmp_path / "out")]
-    for command, *options in (["info"], ["reconstruct", *after], ["batch", *after, "--table", "csv"]):
+    after = ["-c", str(tmp_path / "cal.npz"), "-o"]
+    in_batch = ["batch", *after, str(tmp_path / "out"), "--table", "csv"]
+    for command, *options in (["info"], ["reconstruct", *after, str(tmp_path / "film")], in_batch):
         with pytest.raises(SystemExit, match=r"^1$"):
             main([command, str(odd_name), *options])
     assert "no UTF-8. Rename it" in capsys.readouterr().err
