@@ -20,6 +20,7 @@ import numpy as np
 import gelform
 from accuracy.heights import at_least, heights_drawn, walls_drawn
 from accuracy.objects import anchor, deep, objects, walls
+from accuracy.shapes import shapes
 from accuracy.real import calibrated, few, real, sigma
 from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
 from gelform.image.background import ChangeSettings
@@ -215,6 +216,7 @@ PARTS: dict[str, Any] = {
     "walls_drawn": walls_drawn,
     "at_least": at_least,
     "heights_drawn": heights_drawn,
+    "shapes": shapes,
 }
 NEEDS_DATA = ("real", "whole", "sigma", "few", "at_least")
 
