@@ -20,8 +20,8 @@ import numpy as np
 import gelform
 from accuracy.heights import at_least, heights_drawn, walls_drawn
 from accuracy.objects import anchor, deep, objects, walls
-from accuracy.shapes import shapes
 from accuracy.real import calibrated, few, real, sigma
+from accuracy.shapes import shapes
 from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
 from gelform.image.background import ChangeSettings
 from gelform.simulate import LAYOUTS, Ball, Coin, Punch, Screw, simulate_ball_presses, simulate_press

@@ -473,9 +473,8 @@ class Reconstructor:
         """The result of a record: its depth, and the rest on first use; the record goes with the last of it."""
         lock, calibration, slopes = RLock(), self.calibration, record.slopes
         later: dict[str, Any] = {name: Later(partial(getattr, record, name), lock) for name in ON_DEMAND}
-        shape_errors = Later(partial(getattr, record, "shape_errors"), lock)
-        states_sigma = record.fixed.depth_sigma is not None
-        if states_sigma:  # both follow from the same errors; differences need the record no longer then
+        if record.fixed.depth_sigma is not None:  # both follow from the same errors
+            later["shape_errors"] = shape_errors = Later(partial(getattr, record, "shape_errors"), lock)
             later["depth_sigma_mm"] = Later(lambda: shape_errors() and record.depth_sigma_mm, lock)
         own = record.depth_mm.copy()  # the caller's to write to; the record's stays
         slopes.gradients.flags.writeable = False
@@ -490,7 +489,6 @@ class Reconstructor:
             calibration_digest=calibration.digest,
             force_model=calibration.force,
             albedo_source=record.albedo and Later(record.albedo).__call__,
-            shape_errors=shape_errors if states_sigma else None,
             **later,
         )
 

@@ -170,7 +170,7 @@ def test_without_regions_and_lines_the_contact_is_measured():
 
 
 def test_figures_without_a_known_sigma():
-    bare = replace(result_of(0.1 * X), shape_errors=None, gradients_sigma=None, depth_sigma_mm=None)
+    bare = replace(result_of(0.1 * X), mm_per_px_sigma=None, shape_errors=None, gradients_sigma=None, depth_sigma_mm=None)
     found = gelform.measure(bare, lines=[(10, 10, 60, 10)], regions=[(10, 10, 40, 40), (60, 10, 90, 40)])
     assert {one.sigma for one in found.quantities} == {None}
 
@@ -182,7 +182,7 @@ def test_steep_and_unknown_pixels_are_doubted():
     assert "steeper than presses have shown" in steep["line 1, left flank"].doubts[0]
     unknown = figures(gelform.measure(result_of(depth, known=X > 50), lines=[line]))
     assert any("not known on 1" in said for said in unknown["line 1, height"].doubts)
-    assert "end is not known" in unknown["line 1, rise"].doubts[0]
+    assert "not known on" in unknown["line 1, rise"].doubts[0]
 
 
 @pytest.mark.parametrize(

@@ -393,7 +393,8 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
         maps: dict[str, Any] = {one.name: arrays.get(one.name) for one in BESIDE_DEPTH}
         of_shape = None
         if SHAPE in meta:
-            of_shape = ShapeErrors(*(arrays[f"{SHAPE}_{name}"] for name in SHAPE_MAPS), **meta[SHAPE])
+            kept: dict[str, Any] = {name: arrays[f"{SHAPE}_{name}"] for name in SHAPE_MAPS}
+            of_shape = ShapeErrors(**kept, **meta[SHAPE])
         return Reconstruction(
             depth=arrays["depth_px" if mm_per_px is None else "depth_mm"],
             mm_per_px=mm_per_px,
