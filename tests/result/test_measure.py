@@ -170,7 +170,9 @@ def test_without_regions_and_lines_the_contact_is_measured():
 
 
 def test_figures_without_a_known_sigma():
-    bare = replace(result_of(0.1 * X), mm_per_px_sigma=None, shape_errors=None, gradients_sigma=None, depth_sigma_mm=None)
+    bare = replace(
+        result_of(0.1 * X), mm_per_px_sigma=None, shape_errors=None, gradients_sigma=None, depth_sigma_mm=None
+    )
     found = gelform.measure(bare, lines=[(10, 10, 60, 10)], regions=[(10, 10, 40, 40), (60, 10, 90, 40)])
     assert {one.sigma for one in found.quantities} == {None}
 

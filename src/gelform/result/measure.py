@@ -49,6 +49,15 @@ class Quantity:
     doubts: tuple[str, ...] = ()
 
 
+def in_words(one: Quantity) -> str:
+    """A figure with its standard deviation, to two digits of that."""
+    if one.value is None:
+        return f"{one.name}: -"
+    digits = max(0, 1 - int(np.floor(np.log10(one.sigma)))) if one.sigma else 3
+    sigma = f" ± {one.sigma:.{digits}f}" if one.sigma else ""
+    return f"{one.name} {one.value:.{digits}f}{sigma} {one.unit}{' (sigma unknown)' if one.sigma is None else ''}"
+
+
 @dataclass(frozen=True)
 class Profile:
     """Depth along a line, and its groove or ridge.
@@ -245,6 +254,8 @@ class _Surface:
             why = "There is no groove or ridge with both shoulders. Draw the line across it, from shoulder to shoulder."
             return profile, [*quantities, Quantity(of, "depth", None, None, "mm", (why,))]
         doubts += self.doubts(pixels(groove.width_of))
+        if groove.unlike(z):
+            doubts = *doubts, "The surface beside it is no straight line."
         figures, by_sample = (
             groove.figures(z),
             (groove.figures(z + 1e-6 * np.eye(count)) - groove.figures(z)) / 1e-6,
@@ -428,6 +439,11 @@ class _Groove:
     def base(self, z: Numbers) -> Numbers:
         """The line (..., N) through both shoulders of profiles (..., N)."""
         return np.asarray(z @ self.solve[0][:, None] + z @ self.solve[1][:, None] * (self.s - self.center))
+
+    def unlike(self, z: Numbers) -> bool:
+        """Whether the shoulders leave the base by more than a quarter of the height (RMS)."""
+        shoulders = np.any(self.solve != 0, axis=0) & ~self.middle
+        return bool(np.std((z - self.base(z))[shoulders]) > abs(self.solve[2] @ z) / 4)
 
     def edges(self, z: Numbers) -> Any:
         """Distances, mm, of both places at half the height."""
