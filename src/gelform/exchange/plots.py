@@ -19,7 +19,7 @@ from gelform.foundations.checks import check_image, check_is, check_mm_per_px
 from gelform.foundations.files import picture_bytes, written_file
 from gelform.result import Reconstruction
 from gelform.result.maps import MAPS
-from gelform.result.measure import Measured, in_words
+from gelform.result.measure import Measured
 from gelform.result.metrics import angle_deg
 from gelform.slopes.budget import Explanation
 from gelform.slopes.sigma import CAUSES
@@ -258,7 +258,7 @@ def measured_picture(result: Reconstruction, measured: Measured) -> Image:
     The picture is (h, w, 3) uint8, RGB. GelformError: matplotlib is not installed.
     """
     depth, unit, _ = _in_unit(result)
-    words = [f"{one.of}, {in_words(one)}" for one in measured.quantities]
+    words = [f"{one.of}, {one}" for one in measured.quantities]
     panels, upper = max(len(measured.profiles), 1), WIDTH / 2 * depth.shape[0] / depth.shape[1]
     figure = canvas(WIDTH, max(upper, 0.22 * len(words)) + 3.2 * -(-panels // 2))
     figure.suptitle(

@@ -26,7 +26,6 @@ from gelform.live.hub import GuideSession, Hub, starter_of_station
 from gelform.live.lists import Calibrations, Recordings, shown_name
 from gelform.live.shown import Shown
 from gelform.live.station import SETTABLE, MovedSince, Opening, Setup, Station
-from gelform.result.measure import in_words
 from gelform.sensors.films import is_film, open_film
 from gelform.sensors.mcap import end_missing
 from gelform.sensors.mjpeg import shown_address
@@ -231,7 +230,7 @@ def measure_line(hub: Hub, station: Station, ends_px: list[float]) -> dict[str, 
     return {
         "kind": "measured",
         "ends_px": ends_px,
-        "text": " ".join([", ".join(map(in_words, found)) + ".", *doubts]),
+        "text": " ".join([", ".join(map(str, found)) + ".", *doubts]),
     }
 
 

@@ -223,7 +223,6 @@ def measure(
       gelform measure out/ --line 120,80,200,80 --json
     """
     from gelform.foundations.files import table_text, written_file
-    from gelform.result.measure import in_words
 
     form = "X1,Y1,X2,Y2"
     given: dict[str, Any] = {
@@ -255,7 +254,7 @@ def measure(
     rows = _rows_of_images(pictures, measured, "measuring", shown, overwrite=overwrite, of="result")
     for row in rows:
         every = row.pop("all").quantities
-        shown.table(row["result"], ("figure", "value"), [(one.of, in_words(one)) for one in every])
+        shown.table(row["result"], ("figure", "value"), [(one.of, str(one)) for one in every])
         for one in every:
             for said in one.doubts:
                 shown.say(f"{one.of}, {one.name}: {said}")
