@@ -72,7 +72,10 @@ class GelformNode(Node):
             topics = "indentation,diagnostics"
         self._least_s = 1 / rate_hz if rate_hz else 0.0
         self._messages = RosMessages(
-            name or sensor_name_from(loaded.sensor_name), loaded.serial or "", topics.split(",")
+            name or sensor_name_from(loaded.sensor_name),
+            loaded.serial or "",
+            topics.split(","),
+            loaded.settings.place_error,
         )
         if {"indentation", "points", "pose"} & set(self._messages.topics):
             _ = loaded.known_mm_per_px
