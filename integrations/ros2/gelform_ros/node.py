@@ -26,6 +26,7 @@ import gelform
 from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import TOPICS, USUAL, sensor_name_from
 from gelform.sensors import read_background
+from gelform_ros import interruptible
 
 TYPES = {
     "sensor_msgs/msg/Image": Image,
@@ -183,6 +184,8 @@ def run(arguments: Any = None) -> int:
     log, node = get_logger(LOG), None
     try:
         rclpy.init(args=arguments)
+    except KeyboardInterrupt:
+        return 0
     except OF_ROS as problem:
         log.fatal(one_line(problem))
         return 1
@@ -211,5 +214,6 @@ def main(arguments: Any = None) -> None:
     raise SystemExit(run(arguments))
 
 
+interruptible(early=False)
 if __name__ == "__main__":
     main()
