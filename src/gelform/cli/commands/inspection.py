@@ -208,7 +208,7 @@ def measure(
     overwrite: options.Overwrite = False,
     shown: ShownOption,
 ) -> None:
-    """Measure results: steps, grooves, radii, angles, flatness, roughness.
+    """Measure steps, grooves, radii, angles, roughness.
 
     Each figure has a standard deviation, and says what it does not hold for. A line gives its length, how much deeper its
     second end is, and the groove or ridge across it: depth or height, width at half of it, and the angles of its flanks. A
