@@ -159,6 +159,15 @@ def test_scale_blur_and_gain_widen_what_they_concern():
     lost = 1 - 1 / np.sqrt(1 + 2 * 2 * 1.25**2 * PITCH**2 / 0.02)  # a Gaussian, blurred by sqrt(2) 1.25 px
     assert blurred[of].sigma == pytest.approx(lost * plain[of].value, rel=0.15)
     assert "as narrow as the image is sharp" in blurred[of].doubts[0]
+    fine, lost = 0.01 * np.sin(X / 2), 1 - np.exp(-(1.25**2) / 4)  # of a wave of 4 pi px
+    plain, blurred = (
+        figures(
+            gelform.measure(result_of(fine, sigma=1e-5, gain=0.0, blur_px=px), regions=[(30, 30, 110, 90)])
+        )
+        for px in (0.0, 1.25)
+    )
+    assert plain["region 1, Sq"].sigma < 0.05 * plain["region 1, Sq"].value
+    assert blurred["region 1, Sq"].sigma == pytest.approx(lost * plain["region 1, Sq"].value, rel=0.1)
 
 
 def test_without_regions_and_lines_the_contact_is_measured():

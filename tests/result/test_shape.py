@@ -67,3 +67,12 @@ def test_what_all_depths_share_is_no_error_of_their_difference():
     sigma = errors(common=np.concatenate([common, common])).difference_sigma(region)
     assert sigma[24, 44] == pytest.approx(0, abs=1e-6)
     assert sigma[24, 4] == pytest.approx(0.3 * np.sqrt(2), rel=1e-5), "both are independent"
+
+
+def test_an_l_filter_takes_long_waves_out():
+    """Half of the height of a wave of its cut-off length is left: one with five periods over the width."""
+    of, cutoff_px = errors(), SHAPE[1] / 5
+    share = of.waves(*SHAPE, l_filter_px=cutoff_px) / of.waves(*SHAPE)
+    assert np.sqrt(share[0, 10]) == pytest.approx(0.5, abs=0.02)
+    assert share[0, 1] < 1e-3
+    assert share[0, 40] > 0.99

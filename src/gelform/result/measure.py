@@ -128,6 +128,7 @@ class _Surface:
         self.pitch, self.known = result.mm_per_px, result.known
         self.scale = (result.mm_per_px_sigma or 0.0) / self.pitch
         self.errors, self.slopes_sigma = result.shape_errors, result.gradients_sigma
+        self.lost_to_blur = np.zeros_like(self.z)
         if self.errors is not None:
             at_pixels = coarse_of(result.shape).at_pixels
             self.common, self.own = (
@@ -251,22 +252,24 @@ class _Surface:
         self.add(of, "depth", depth.mean(), sigma, "mm", doubts)
         plane = self._terms(mask)[:3].T
         off_um = 1e3 * (depth - plane @ np.linalg.lstsq(plane, depth, rcond=None)[0])
-        rows: list[Any] = [("flatness", np.ptp(off_um), off_um.std(), self._noise_um(mask, 1))]
+        rows: list[Any] = [("flatness", np.ptp(off_um), off_um.std(), 0.0, self._noise_um(mask, 1))]
         if depth.size >= LEAST_PX:
-            rough, noise_um = (
-                areal_roughness(self.z, mm_per_px=self.pitch, mask=mask),
-                self._noise_um(mask, 2),
+            rough, blurred = (
+                areal_roughness(z, mm_per_px=self.pitch, mask=mask)
+                for z in (self.z, self.z + self.lost_to_blur)
             )
-            values = {"Sa": rough.Sa_um, "Sq": rough.Sq_um, "Sz": rough.Sz_um}
-            rows += [(name, value, rough.Sq_um, noise_um) for name, value in values.items()]
-        for name, value, rms_um, noise_um in rows:
+            noise_um = self._noise_um(mask, 2, rough.l_filter_mm)
+            for name in ("Sa_um", "Sq_um", "Sz_um"):
+                value, lost = getattr(rough, name), getattr(rough, name) - getattr(blurred, name)
+                rows.append((name.removesuffix("_um"), value, rough.Sq_um, lost, noise_um))
+        for name, value, rms_um, lost, noise_um in rows:
             # Errors raise it, so what goes without them is its sigma. Squares add up in means, extremes themselves.
             share = min(noise_um / rms_um, 1.0) if noise_um and rms_um else 0.0
             raised = share if name in ("flatness", "Sz") else 1 - np.sqrt(1 - share**2)
             gain = 0.0 if self.errors is None else self.errors.gain_sigma
-            sigma = None if noise_um is None else value * np.sqrt(raised**2 + gain**2 + self.scale**2)
+            sigma = np.hypot(value * np.sqrt(raised**2 + gain**2 + self.scale**2), lost)
             mostly = (f"Errors alone give {noise_um:.2g} um RMS.",) if share > 0.5 else ()
-            self.add(of, name, value, sigma, "um", (*doubts, *mostly))
+            self.add(of, name, value, None if noise_um is None else sigma, "um", (*doubts, *mostly))
         if radius is not None:
             self._radius(mask, of, radius, doubts)
 
@@ -275,15 +278,17 @@ class _Surface:
         x, y = (self.pitch * (one - one.mean()) for one in np.nonzero(mask)[::-1])
         return np.stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2])
 
-    def _noise_um(self, mask: Mask, degree: int) -> float | None:
-        """RMS, um, that errors give a flat region off its polynomial of a degree; None if unknown.
+    def _noise_um(self, mask: Mask, degree: int, l_filter_mm: float | None = None) -> float | None:
+        """RMS, um, that errors give a flat region off its polynomial of a degree, after an L-filter; None if unknown.
 
         For errors of single slopes the region counts as its box, whose cosine waves up to `degree` half waves are the
         polynomial. The variance of depth has the longer waves.
         """
         if self.errors is None or self.slopes_sigma is None:
             return None
-        waves = self.errors.waves(*(int(np.ptp(one)) + 1 for one in np.nonzero(mask)))
+        filter_px = None if l_filter_mm is None else l_filter_mm / self.pitch
+        height, width = (int(np.ptp(one)) + 1 for one in np.nonzero(mask))
+        waves = self.errors.waves(height, width, filter_px)
         waves[np.add.outer(*(np.arange(n) for n in waves.shape)) <= degree] = 0
         single = self.pitch**2 * np.mean(np.square(self.slopes_sigma[mask])) * waves.mean()
         return 1e3 * float(np.sqrt(single + sum(one[mask].mean() for one in self.own)))

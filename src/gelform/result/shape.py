@@ -61,14 +61,19 @@ class ShapeErrors:
         correlated, white = np.sum(together**2) * self._cell, np.sum(each**2)
         return float(np.sqrt(self.correlated_share * correlated + (1 - self.correlated_share) * white))
 
-    def waves(self, height: int, width: int) -> Numbers:
+    def waves(self, height: int, width: int, l_filter_px: float | None = None) -> Numbers:
         """Variance (h, w) of each cosine wave of the depth of h x w pixels, px^2, where all slopes have the variance 1.
 
-        Their mean is the variance of a pixel.
+        Their mean is the variance of a pixel. A Gaussian L-filter leaves half the height of waves of its cut-off length.
         """
         laplacian = _laplacian(height, width)
         correlated = self._cell * np.exp(-laplacian * self.correlation_px**2 / 2)
-        return np.asarray((1 - self.correlated_share + self.correlated_share * correlated) / laplacian)
+        left = 1.0
+        if l_filter_px is not None:
+            left = 1 - np.exp(-np.log(2) * laplacian * (l_filter_px / (2 * np.pi)) ** 2)
+        return np.asarray(
+            (1 - self.correlated_share + self.correlated_share * correlated) / laplacian * left**2
+        )
 
     @property
     def _cell(self) -> float:

@@ -9,7 +9,7 @@ import json
 from dataclasses import dataclass, replace
 from functools import cache
 from types import GenericAlias
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pytest
@@ -117,7 +117,7 @@ def test_arrays_are_known_where_their_type_is_an_alias(monkeypatch):
     """As numpy has it from 2.5 on: `NDArray[...]` has an origin of its own, whose `__value__` is the array."""
 
     class Alias:
-        __value__ = NDArray[np.float64]
+        __value__ = np.ndarray[Any, np.dtype[np.float64]]
         __class_getitem__ = classmethod(GenericAlias)
 
     monkeypatch.setitem(Record.__annotations__, "nodes", Alias[np.float64])
