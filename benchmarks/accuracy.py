@@ -21,6 +21,7 @@ import gelform
 from accuracy.heights import at_least, heights_drawn, walls_drawn
 from accuracy.objects import anchor, deep, objects, walls
 from accuracy.real import calibrated, few, real, sigma
+from accuracy.shapes import cube, shapes
 from gelform.calibration.circles.find import find_contact, scale_of, why_no_contact
 from gelform.image.background import ChangeSettings
 from gelform.simulate import LAYOUTS, Ball, Coin, Punch, Screw, simulate_ball_presses, simulate_press
@@ -215,8 +216,10 @@ PARTS: dict[str, Any] = {
     "walls_drawn": walls_drawn,
     "at_least": at_least,
     "heights_drawn": heights_drawn,
+    "shapes": shapes,
+    "cube": cube,
 }
-NEEDS_DATA = ("real", "whole", "sigma", "few", "at_least")
+NEEDS_DATA = ("real", "whole", "sigma", "few", "at_least", "cube")
 
 
 def main() -> None:

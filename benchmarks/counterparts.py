@@ -1,7 +1,10 @@
-"""What gelform talks to, the real thing: its node of ROS 2 and a subscriber in another process, by rclpy.
+"""What gelform talks to, the real thing: ROS 2 by rclpy, LeRobot's own writer and reader, and Ray. Each writes its results.
 
-    PYTHON benchmarks/counterparts.py ros             # a Python with rclpy and the extra ros; writes its results
+    PYTHON benchmarks/counterparts.py ros             # a Python with rclpy and the extra ros
         --seconds 10                                  # of each measurement
+    PYTHON benchmarks/counterparts.py lerobot         # a Python 3.12 or newer
+        --environment DIR                             # with LeRobot (5.5 GB), made if it is not there
+    PYTHON benchmarks/counterparts.py ray             # a Python with the extra ray; real frames (GELFORM_DATA)
 
 The age of a message is from the capture of its frame to the subscriber's callback, which has the message decoded. The source
 is the simulated sensor at 60 Hz, whose images take a part of the processor, too.
@@ -10,6 +13,8 @@ is the simulated sensor at 60 Hz, whose images take a part of the processor, too
 from __future__ import annotations
 
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -117,12 +122,85 @@ def ros(seconds: float) -> dict[str, Any]:
     }
 
 
+def lerobot(environment: Path) -> dict[str, Any]:
+    """What the tests of the camera plugin say with LeRobot's own factory, writer and reader, and the versions there."""
+    script = ROOT / "integrations" / "lerobot_camera_gelform" / "test.sh"
+    said = subprocess.run([script, environment], capture_output=True, text=True, check=False)
+    found = re.findall(r"(\d+) (passed|failed|skipped|error)", said.stdout.splitlines()[-1])
+    if not found:
+        raise SystemExit(f"{script} ran no test:\n{said.stdout[-2000:]}{said.stderr[-2000:]}")
+    ask = "import platform, importlib.metadata as m; print(platform.python_version(), *map(m.version, ('lerobot', 'torch')))"
+    versions = subprocess.run(
+        [environment / "bin" / "python", "-c", ask], capture_output=True, text=True, check=True
+    )
+    return {
+        "status": said.returncode,
+        **{what: int(count) for count, what in found},
+        "versions": dict(zip(("python", "lerobot", "torch"), versions.stdout.split())),
+    }
+
+
+def ray() -> dict[str, Any]:
+    """Whether `gelform batch` gives the same bytes by Ray as by the pool of processes, on real frames."""
+    data = Path(os.environ.get("GELFORM_DATA", ROOT.parent / "shared" / "data")) / "mini-edge"
+    with tempfile.TemporaryDirectory() as folder:
+        frames, outputs = Path(folder) / "frames", {}
+        frames.mkdir()
+        for image in sorted((data / "images").glob("*.png"))[:25]:
+            shutil.copy(image, frames)
+        start = ["--background", str(data / "background.png")]
+        run = [sys.executable, "-m", "gelform"]
+        calibration = str(Path(folder) / "cal.npz")
+        subprocess.run([*run, "starter", "gelsight-mini", "-o", calibration, *start], check=True)
+        for engine in ("pool", "ray"):
+            outputs[engine] = Path(folder) / engine
+            options = [
+                "-o",
+                str(outputs[engine]),
+                "--engine",
+                engine,
+                "--workers",
+                "2",
+                "--quiet",
+                "--accept-doubtful",
+            ]
+            subprocess.run([*run, "batch", str(frames), "-c", calibration, *options], check=True)
+        files = {engine: results_in(path) for engine, path in outputs.items()}
+    return {
+        "frames": len(files["pool"]),
+        "names_are_equal": files["pool"].keys() == files["ray"].keys(),
+        "files_that_differ": [
+            name for name, content in files["pool"].items() if files["ray"].get(name) != content
+        ],
+        "versions": {"ray": version("ray")},
+    }
+
+
+def results_in(folder: Path) -> dict[str, bytes]:
+    """The bytes of each result in a folder of a batch."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*.npz"))}
+
+
 def main() -> None:
-    """Measure the parts, print the table, write the figures."""
+    """Measure the parts, print the tables, write the figures."""
     command = command_line(__doc__)
     command.add_argument("--seconds", type=float, default=10.0)
-    asked = parts_asked(command, ["ros"])
-    figures = ros(asked.seconds)
+    command.add_argument("--environment", type=Path)
+    asked = parts_asked(command, ["ros", "lerobot", "ray"])
+    if "lerobot" in asked.parts and asked.environment is None:
+        command.error("lerobot needs --environment DIR, a folder for 5.5 GB outside of the checkout")
+    if "ros" in asked.parts:
+        show_ros(figures := ros(asked.seconds))
+        write_part("counterparts", "ros", figures)
+    for name in ("lerobot", "ray"):
+        if name in asked.parts:
+            figures = lerobot(asked.environment.absolute()) if name == "lerobot" else ray()
+            print(table((name, "value"), [(key, str(value)) for key, value in figures.items()]))
+            write_part("counterparts", name, figures)
+
+
+def show_ros(figures: dict[str, Any]) -> None:
+    """Print the table of the node."""
     rows = [
         (
             f"{name}: results a second, age in ms: median, 95 %; processor, ms a result",
@@ -138,7 +216,6 @@ def main() -> None:
             [*rows, ("tracebacks", figures["tracebacks"], "", "", "")],
         )
     )
-    write_part("counterparts", "ros", figures)
 
 
 if __name__ == "__main__":

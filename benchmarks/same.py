@@ -256,7 +256,7 @@ def drawn(reconstruct: gelform.Reconstructor, image: np.ndarray) -> Iterator[tup
     except gelform.GelformError:
         return
     yield from ((f"explanation, {name}", values) for name, values in {**vars(why), **why.maps}.items())
-    if result.difference_source and result.contact.any():
+    if result.depth_sigma_mm is not None and result.contact.any():
         yield "depth_difference_sigma", result.depth_difference_sigma()
     yield "notebook", result._repr_html_()
     measured = getattr(shown, "measures_of", None)  # only before `Reconstruction.numbers`

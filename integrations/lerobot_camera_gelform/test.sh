@@ -1,23 +1,24 @@
 #!/bin/sh
 # Tests of the camera with LeRobot's own factory, writer and reader, outside the default suite: LeRobot and torch are 5.5 GB.
 #
-#   ./test.sh [ENVIRONMENT]     a virtual environment of Python 3.12, made if it is not there; default: .venv here
+#   ./test.sh [ENVIRONMENT]     a virtual environment of Python 3.12 or newer, made if it is not there; default: .venv here
 #
-# PYTHON names a Python 3.12 where it is not called python3.12. About 2 minutes once everything is installed.
+# PYTHON names the Python to make it with. About 2 minutes once everything is installed.
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
 repo=$(cd "$here/../.." && pwd)
 environment=${1:-$here/.venv}
 
 python312() {
-    for one in "${PYTHON:-}" python3.12 "$HOME"/.pyenv/versions/3.12*/bin/python python3 python; do
+    for one in "${PYTHON:-}" python3.12 "$HOME"/.pyenv/versions/3.12*/bin/python python3 python python3.13 python3.14 \
+        "$HOME"/.pyenv/versions/3.1[3-9]*/bin/python; do
         if [ -n "$one" ] && command -v "$one" >/dev/null 2>&1 \
-            && "$one" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 12))' 2>/dev/null; then
+            && "$one" -c 'import sys; sys.exit(sys.version_info[:2] < (3, 12))' 2>/dev/null; then
             command -v "$one"
             return
         fi
     done
-    echo "Expected Python 3.12, which LeRobot 0.6 needs, found none. Install it, or name it: PYTHON=/path/python3.12 $0" >&2
+    echo "Expected Python 3.12 or newer, which LeRobot 0.6 needs, found none. Install it, or name it: PYTHON=/path/python3.12 $0" >&2
     exit 1
 }
 

@@ -55,6 +55,7 @@ from .reconstruct import Reconstructor as Reconstructor
 from .result.record import Reconstruction as Reconstruction
 from .result.record import save_result as save_result
 from .result.record import load_result as load_result
+from .result.measure import measure as measure
 from .motion.between import motion_between as motion_between
 from .motion.between import Motion as Motion
 from .motion.track import track as track

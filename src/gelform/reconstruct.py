@@ -27,7 +27,7 @@ from gelform.image.health import DepthLimit, FrameFaults, FrameHealth, check_unt
 from gelform.image.light import FrameLight
 from gelform.image.markers import MarkerFlow, MarkerFollower
 from gelform.image.view import Frame, as_levels, image_from_frame, whole_levels
-from gelform.result import Later, Reconstruction
+from gelform.result import Later, Reconstruction, ShapeErrors
 from gelform.slopes.budget import (
     OUTLIER,
     Budget,
@@ -276,18 +276,18 @@ class FrameRecord:
         return self.color_changes[1]
 
     @once
-    def difference_sigma(self) -> Callable[[Mask], Map]:
-        """Gives the standard deviation (H, W), mm, of the depth minus its mean over a region (H, W)."""
-        assert self.depth_errors is not None
-        return partial(_difference_sigma, self.depth_errors, self._widened)
+    def shape_errors(self) -> ShapeErrors | None:
+        """How the errors of the depth hang together; None if they are not known."""
+        errors, sigma = self.depth_errors, self.fixed.slope_sigma
+        if errors is None:
+            return None
+        maps = errors.coarse_variance[np.newaxis], errors.common_mm[np.newaxis]
+        blur_px = self.fixed.calibration.change.blur_px
+        return ShapeErrors(*maps, sigma.gain_sigma, sigma.correlation_px, sigma.correlated_share, blur_px)
 
     @property
     def _widened(self) -> Callable[[Any], Any]:
         return partial(_widened, self.seen.faults.lost, self.fixed.limit.ignorance_mm)
-
-
-def _difference_sigma(errors: DepthErrors, widened: Callable[[Map], Map], region: Mask) -> Map:
-    return widened(errors.difference_sigma(region))
 
 
 def _widened(lost: Mask | None, ignorance_mm: float, sigma: Any) -> Any:
@@ -473,10 +473,9 @@ class Reconstructor:
         """The result of a record: its depth, and the rest on first use; the record goes with the last of it."""
         lock, calibration, slopes = RLock(), self.calibration, record.slopes
         later: dict[str, Any] = {name: Later(partial(getattr, record, name), lock) for name in ON_DEMAND}
-        difference = Later(partial(getattr, record, "difference_sigma"), lock)
-        states_sigma = record.fixed.depth_sigma is not None
-        if states_sigma:  # both follow from the same errors; differences need the record no longer then
-            later["depth_sigma_mm"] = Later(lambda: difference() and record.depth_sigma_mm, lock)
+        if record.fixed.depth_sigma is not None:  # both follow from the same errors
+            later["shape_errors"] = shape_errors = Later(partial(getattr, record, "shape_errors"), lock)
+            later["depth_sigma_mm"] = Later(lambda: shape_errors() and record.depth_sigma_mm, lock)
         own = record.depth_mm.copy()  # the caller's to write to; the record's stays
         slopes.gradients.flags.writeable = False
         return Reconstruction(
@@ -490,7 +489,6 @@ class Reconstructor:
             calibration_digest=calibration.digest,
             force_model=calibration.force,
             albedo_source=record.albedo and Later(record.albedo).__call__,
-            difference_source=(lambda region: difference()(region)) if states_sigma else None,
             **later,
         )
 

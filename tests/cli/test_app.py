@@ -204,4 +204,4 @@ def test_every_command_that_reads_colors_of_frames_takes_bgr():
     without = {name for name, command in all_commands() if "--bgr" not in options_of(command)}
     library = {f"calibrations {name}" for name in ("list", "add", "remove", "export")}
     no_frame = {"demo", "design", "cameras", "verify", "export", *library}
-    assert without == {*no_frame, "info", "scale", "lens", "simulate", "import"}
+    assert without == {*no_frame, "info", "measure", "scale", "lens", "simulate", "import"}

@@ -157,16 +157,6 @@ def test_gel_at_rest_beside_steep_faces_is_at_0_and_a_plateau_is_as_wrong_as_its
     assert np.abs(common[across < 18]).mean() > 0.1
 
 
-def test_what_all_depths_share_is_no_error_of_their_difference():
-    rough = 1e-3 * np.random.default_rng(0).normal(size=SHAPE)
-    depth, at_rest = bump(0.5) + rough, bump(1.0) < 0.01
-    region = bump(1.0) > 0.7
-    found = errors_of(depth, at_rest, gain=0.08, factor=5.0)
-    difference, whole = found.difference_sigma(region), found.sigma(9.0)
-    assert difference[region].mean() < 0.5 * whole[region].mean()
-    assert (difference[region].min() >= 0) & np.isfinite(difference).all()
-
-
 def test_it_is_bounded_and_the_contact_s_is_without_what_is_common():
     depth, at_rest = bump(0.5), bump(1.0) < 0.01
     found = errors_of(depth, at_rest, gain=0.5)

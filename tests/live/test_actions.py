@@ -21,7 +21,7 @@ from gelform.live import actions
 from gelform.live.actions import start
 from gelform.live.hub import GRACE_S, Hub, Pages, page_named, sentence_for_page
 from gelform.live.station import Setup
-from gelform.live.web.client import done
+from gelform.live.web.client import MessageError, done
 from gelform.sensors.films import open_film
 from gelform.sensors.playback import RecordingFacts
 from gelform.sensors.record import attached_calibration
@@ -466,3 +466,18 @@ def test_what_is_no_name_is_nobodys():
     assert page_named("0123456789abcdef") == "0123456789abcdef"
     for given in ("", "short", "A" * 20, "../../../etc", "a" * 65):
         assert page_named(given) == ""
+
+
+def test_a_line_is_measured_as_by_the_command(hub, station):
+    until(lambda: station.newest is not None and station.newest.result is not None)
+    actions.pause(hub, station, True)
+    ends = [20.0, 20.0, 60.0, 40.0]
+    answer = done(hub, {"do": "measure", "station": 0, "ends_px": ends})
+    wanted = gelform.measure(station.current.result, lines=[ends]).quantities
+    assert answer["ends_px"] == ends
+    assert answer["text"].startswith(", ".join(map(str, wanted)) + ".")
+    for wrong in ([1.0, 2.0, 3.0], [1.0, 2.0, 3.0, "x"], "1,2,3,4"):
+        with pytest.raises(MessageError):
+            done(hub, {"do": "measure", "station": 0, "ends_px": wrong})
+    with pytest.raises(ValueError, match="pixels of the image"):
+        done(hub, {"do": "measure", "station": 0, "ends_px": [0.0, 0.0, 9999.0, 1.0]})

@@ -23,6 +23,16 @@ from gelform.image.markers import MarkerFlow
 from gelform.result import KIND, Later, Reconstruction, load_result, save_result
 from gelform.result.maps import BESIDE_DEPTH, KEPT_MAPS, MAPS
 from gelform.result.record import FORMAT_VERSION
+from gelform.result.shape import ShapeErrors
+
+SHAPE_ERRORS = ShapeErrors(
+    np.linspace(1e-4, 3e-4, 48, dtype=np.float32).reshape(1, 6, 8),
+    np.ones((1, 6, 8), np.float32),
+    0.05,
+    2.5,
+    0.7,
+    1.25,
+)
 
 
 @pytest.fixture
@@ -101,18 +111,29 @@ def test_parts_of_other_shapes_are_refused(result):
 
 
 def test_differences_are_of_the_contact_unless_a_region_is_given(result):
-    with pytest.raises(GelformError, match="is not saved"):
+    with pytest.raises(GelformError, match="how errors of depth hang together"):
         result.depth_difference_sigma()
-    asked = []
-    fresh = replace(result, difference_source=asked.append)
-    fresh.depth_difference_sigma()
+    deviation = np.full(result.shape, 2.0, np.float32)
+    fresh = replace(result, shape_errors=SHAPE_ERRORS, depth_sigma_mm=deviation)
+    of_contact = SHAPE_ERRORS.difference_sigma(fresh.contact)
+    np.testing.assert_array_equal(fresh.depth_difference_sigma()[fresh.known], of_contact[fresh.known])
     region = np.zeros(result.shape, dtype=bool)
     region[2:4, 3:7] = True
-    fresh.depth_difference_sigma(region)
-    np.testing.assert_array_equal(asked[0], fresh.contact)
-    np.testing.assert_array_equal(asked[1], region)
+    found = fresh.depth_difference_sigma(region)
+    np.testing.assert_array_equal(found[fresh.known], SHAPE_ERRORS.difference_sigma(region)[fresh.known])
+    unknown = replace(fresh, known=~region)
+    assert (unknown.depth_difference_sigma(region)[region] == 2).all()
     with pytest.raises(ValueError, match="region"):
         fresh.depth_difference_sigma(~np.ones(result.shape, dtype=bool))
+
+
+def test_what_differences_are_uncertain_by_is_saved(result, tmp_path):
+    save_result(replace(result, shape_errors=SHAPE_ERRORS), tmp_path / "r.npz")
+    again = load_result(tmp_path / "r.npz")
+    for name, value in vars(SHAPE_ERRORS).items():
+        np.testing.assert_array_equal(getattr(again.shape_errors, name), value)
+    save_result(result, tmp_path / "without.npz")
+    assert load_result(tmp_path / "without.npz").shape_errors is None
 
 
 def test_a_notebook_shows_a_picture_and_the_figures(result):

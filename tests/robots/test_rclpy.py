@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -383,6 +384,17 @@ def test_an_end_while_publishing_is_one_line_and_status_0(listener, started, cal
     assert status == 0, lines
     assert len(lines) == 1, lines
     assert "[INFO]" in lines[0]
+
+
+@pytest.mark.parametrize("after_s", [0.5, 1.0, 1.5, 2.0])
+def test_ctrl_c_while_it_starts_is_at_most_one_line(started, calibration, after_s):
+    """Its imports take a second or two."""
+    node = started(f"calibration:={calibration}", "source:=simulated", "name:=gel")
+    time.sleep(after_s)
+    lines, status = ended(node)
+    assert status in (0, 130), lines
+    assert len(lines) <= 1, lines
+    assert not any("Traceback" in line for line in lines)
 
 
 def test_the_launch_file_gives_parameters_that_the_node_has():

@@ -203,6 +203,12 @@ def test_the_pose_of_the_object_in_the_optical_frame(made):
     fresh.reset_pose()
     at = decoded(made, fresh.pose(FRAME, contacts[2], STAMP_NS), kind).pose.pose.position
     assert (at.x, at.y, at.z) == (0, 0, 0), "this contact is the origin now"
+    unsure = RosMessages("left", place_error=0.05)
+    for again in range(2):  # the second time after a reset
+        unsure.pose(FRAME, contacts[0], STAMP_NS)
+        wider = decoded(made, unsure.pose(FRAME, contacts[2], STAMP_NS), kind).pose.covariance.reshape(6, 6)
+        assert wider[0, 0] > covariance[0, 0] + (0.01 * 0.3e-3) ** 2, again
+        unsure.reset_pose()
 
 
 def test_the_covariance_is_moved_to_the_position():

@@ -22,6 +22,7 @@ import gelform
 from gelform import Frame, GelformError, Reconstruction, open_source
 from gelform.errors import CalibrationError, DataError, Finding
 from gelform.exchange.exporters.surface import points_from_result
+from gelform.robots import send
 from gelform.robots.send import (
     BagFile,
     Node,
@@ -140,6 +141,20 @@ def test_a_bag_is_a_source_that_gives_the_same_results(bag, truth, calibration):
         np.testing.assert_array_equal(seen.result.depth_mm, result.depth_mm)
         assert (seen.frame.index, seen.frame.wall_time_ns) == (frame.index, frame.wall_time_ns)
         assert seen.time_s == pytest.approx(frame.time_s, abs=1e-6)
+
+
+def test_the_pose_is_as_unsure_as_the_calibration_s_places(recording, calibration, tmp_path, monkeypatch):
+    made = []
+
+    class Noted(send.RosMessages):
+        def __init__(self, *given):
+            super().__init__(*given)
+            made.append(given)
+
+    monkeypatch.setattr(send, "RosMessages", Noted)
+    known = replace(calibration, serial="S1", settings=replace(calibration.settings, place_error=0.031))
+    save_bag(recording, known, tmp_path / "bag", sensor="left", topics=("diagnostics",))
+    assert made == [("left", "S1", ("diagnostics",), 0.031)]
 
 
 def test_what_cannot_become_a_bag_is_said_and_leaves_nothing(recording, calibration, tmp_path):

@@ -26,6 +26,7 @@ import gelform
 from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import TOPICS, USUAL, sensor_name_from
 from gelform.sensors import read_background
+from gelform_ros import interruptible
 
 TYPES = {
     "sensor_msgs/msg/Image": Image,
@@ -72,7 +73,10 @@ class GelformNode(Node):
             topics = "indentation,diagnostics"
         self._least_s = 1 / rate_hz if rate_hz else 0.0
         self._messages = RosMessages(
-            name or sensor_name_from(loaded.sensor_name), loaded.serial or "", topics.split(",")
+            name or sensor_name_from(loaded.sensor_name),
+            loaded.serial or "",
+            topics.split(","),
+            loaded.settings.place_error,
         )
         if {"indentation", "points", "pose"} & set(self._messages.topics):
             _ = loaded.known_mm_per_px
@@ -180,6 +184,8 @@ def run(arguments: Any = None) -> int:
     log, node = get_logger(LOG), None
     try:
         rclpy.init(args=arguments)
+    except KeyboardInterrupt:
+        return 0
     except OF_ROS as problem:
         log.fatal(one_line(problem))
         return 1
@@ -208,5 +214,6 @@ def main(arguments: Any = None) -> None:
     raise SystemExit(run(arguments))
 
 
+interruptible(early=False)
 if __name__ == "__main__":
     main()

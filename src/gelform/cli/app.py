@@ -14,7 +14,7 @@ from gelform.cli.commands import calibrations, force
 from gelform.cli.commands.calibrate import calibrate, crosstalk, lens, scale, starter
 from gelform.cli.commands.exchange import export, import_
 from gelform.cli.commands.info import info
-from gelform.cli.commands.inspection import compare, evaluate, explain
+from gelform.cli.commands.inspection import compare, evaluate, explain, measure
 from gelform.cli.commands.reconstruct import batch, reconstruct, verify
 from gelform.cli.commands.robots import bag, ros, track
 from gelform.cli.commands.simulate import demo, design, simulate
@@ -33,7 +33,7 @@ SUBCOMMANDS = {"force": force, "calibrations": calibrations}  # commands with co
 GROUPS: dict[str, tuple[Any, ...]] = {
     "Start": (demo, live, simulate, info),
     "Sensor": (cameras, record, scale, lens, crosstalk, calibrate, starter, evaluate, *SUBCOMMANDS, design),
-    "Frames": (reconstruct, explain, compare, batch, verify),
+    "Frames": (reconstruct, measure, explain, compare, batch, verify),
     "Robots": (bag, ros, track),
     "Files": (import_, export),
 }

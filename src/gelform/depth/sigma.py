@@ -130,9 +130,14 @@ class DepthErrors:
         return self._integrated(steep) if steep.any() else np.zeros_like(self.spread)
 
     @property
+    def coarse_variance(self) -> Map:
+        """Variance on the coarser grid (r, c), without what is common."""
+        return self._with(self.own, self.spread)
+
+    @property
     def local_variance(self) -> Map:
-        """Variance at every pixel (H, W), without what is common."""
-        return self.coarse.at_pixels(self._with(self.own, self.spread))
+        """The same at every pixel (H, W)."""
+        return self.coarse.at_pixels(self.coarse_variance)
 
     def sigma(self, most_mm: float, purpose: Purpose = "stated") -> Map:
         """Standard deviation (H, W) of the depth, mm, `most_mm` at most, for a purpose.
@@ -156,12 +161,6 @@ class DepthErrors:
         if purpose == "deepest":
             return self._root(self._with(self.usual_of_frame, variance), most_mm)
         return self._root(self._with(np.maximum(own, self.usual_of_frame), np.float32(0)), most_mm)
-
-    def difference_sigma(self, region: Mask) -> Map:
-        """Standard deviation (H, W), mm, of the depth minus its mean over a region (H, W) of some pixels."""
-        own, common = self.local_variance, self.coarse.at_pixels(self.common_mm)
-        apart = np.abs(own - own[region].mean()) + np.square(common - common[region].mean())
-        return np.asarray(np.sqrt(apart))
 
     def _with(self, own: Map | np.float32, variance: Map | np.float32) -> Map:
         return np.asarray(variance + np.float32(PULL) * np.maximum(own - variance, 0), dtype=np.float32)

@@ -19,6 +19,7 @@ from gelform.foundations.checks import check_image, check_is, check_mm_per_px
 from gelform.foundations.files import picture_bytes, written_file
 from gelform.result import Reconstruction
 from gelform.result.maps import MAPS
+from gelform.result.measure import Measured
 from gelform.result.metrics import angle_deg
 from gelform.slopes.budget import Explanation
 from gelform.slopes.sigma import CAUSES
@@ -249,6 +250,50 @@ def _draw_profiles(axes: Any, result: Reconstruction, row: int, column: int) -> 
     place = {"xytext": (6, 4), "textcoords": "offset points"}
     axes.annotate(f"{_in_words(deepest)} {unit}", (0, deepest), **place, fontsize=9, color=INK)
     axes.legend(frameon=False, fontsize=9, loc="lower right", bbox_to_anchor=(1, 0.99), ncols=2)
+
+
+def measured_picture(result: Reconstruction, measured: Measured) -> Image:
+    """Draw what was measured on a result: depth with the lines and regions, each profile, and the figures in words.
+
+    The picture is (h, w, 3) uint8, RGB. GelformError: matplotlib is not installed.
+    """
+    depth, unit, _ = _in_unit(result)
+    words = [f"{one.of}, {one}" for one in measured.quantities]
+    panels, upper = max(len(measured.profiles), 1), WIDTH / 2 * depth.shape[0] / depth.shape[1]
+    figure = canvas(WIDTH, max(upper, 0.22 * len(words)) + 3.2 * -(-panels // 2))
+    figure.suptitle(
+        _headline_of_result(result, *deepest_px(depth)), x=0.012, ha="left", fontsize=11, color=INK
+    )
+    top, bottom = figure.subfigures(
+        2, 1, height_ratios=(max(upper, 0.22 * len(words)), 3.2 * -(-panels // 2))
+    )
+    map_axes, text_axes = top.subplots(1, 2)
+    shown = map_axes.imshow(depth, cmap=MAPS["depth_mm"].colors, interpolation="nearest")
+    _hatch_behind(map_axes)
+    top.colorbar(shown, ax=map_axes, shrink=0.92, pad=0.015, label=f"depth ({unit}, 0 at rest)")
+    for k, mask in enumerate(measured.regions):
+        map_axes.contour(mask, levels=[0.5], colors="white", linewidths=1)
+        y, x = np.argwhere(mask).mean(axis=0)
+        map_axes.text(x, y, str(k + 1), color="white", ha="center", va="center", fontweight="bold")
+    text_axes.set_axis_off()
+    text_axes.text(0, 1, "\n".join(words), va="top", fontsize=9, color=INK)
+    grid = bottom.subplots(-(-panels // 2), min(panels, 2), squeeze=False).ravel()
+    for axes in grid[len(measured.profiles) :]:
+        axes.set_axis_off()
+    for k, (axes, one) in enumerate(zip(grid, measured.profiles)):
+        x1, y1, x2, y2 = one.line
+        map_axes.annotate(
+            "", (x2, y2), (x1, y1), arrowprops={"arrowstyle": "->", "color": ORANGE, "linewidth": 1.5}
+        )
+        map_axes.text(x1, y1, f"line {k + 1}", color=ORANGE, fontweight="bold")
+        _style_profiles(axes, f"line {k + 1}", unit)
+        axes.set_xlabel(f"distance from its first end ({unit})")
+        axes.plot(one.distance_mm, np.where(one.known, one.depth_mm, np.nan), color=ORANGE, linewidth=1.5)
+        if one.base_mm is not None and one.edges_mm is not None:
+            axes.plot(one.distance_mm, one.base_mm, color=FAINT, linestyle="--", linewidth=1)
+            at = np.interp(one.edges_mm, one.distance_mm, one.depth_mm)
+            axes.plot(one.edges_mm, at, "o-", color=BLUE, markersize=4, linewidth=1)
+    return pixels_of(figure)
 
 
 USUAL = "usual noise"  # what no cause explains

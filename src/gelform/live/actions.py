@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gelform import DataError, GelformError, SensorError, background_from_frames, open_source
+from gelform import DataError, GelformError, SensorError, background_from_frames, measure, open_source
 from gelform.calibration.library import (
     described,
     library_folder,
@@ -219,6 +219,20 @@ def snapshot(hub: Hub, station: Station) -> dict[str, Any]:
     """Keep the current frame; the answer has its number and the names of its files."""
     shown = station.current
     return {"kind": "snapshot", "number": hub.snapshots.add(shown), "files": hub.snapshots.names(shown)}
+
+
+def measure_line(hub: Hub, station: Station, ends_px: list[float]) -> dict[str, Any]:
+    """Measure along a line of the current frame; the answer has the figures in words, as `gelform measure` says them."""
+    result = station.current.result
+    if result is None:
+        raise GelformError("This frame has no depth to measure. Choose a calibration.")
+    found = measure(result, lines=[ends_px]).quantities
+    doubts = dict.fromkeys(said for one in found for said in one.doubts)
+    return {
+        "kind": "measured",
+        "ends_px": ends_px,
+        "text": " ".join([", ".join(map(str, found)) + ".", *doubts]),
+    }
 
 
 def open_recording(hub: Hub, station: Station, name: str) -> None:

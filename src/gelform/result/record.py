@@ -29,6 +29,7 @@ from gelform.foundations.checks import (
 from gelform.foundations.files import damaged, picture_bytes, read_npz, shown_in_notebook, write_npz
 from gelform.image.markers import MarkerFlow
 from gelform.result.maps import BESIDE_DEPTH, MAPS
+from gelform.result.shape import ShapeErrors
 from gelform.slopes.normals import normals_from_gradients
 
 THUMBNAIL_PX = 240  # the picture's width in a notebook
@@ -102,7 +103,8 @@ class Reconstruction:
     index, time_s, wall_time_ns : of the frame, or None
     calibration_digest : digest of the calibration that was used
     force_model : converts the result to `force`; None if no loads were calibrated. Not saved
-    albedo_source, difference_source : functions that compute `albedo` and `depth_difference_sigma` on demand; not saved
+    shape_errors : how the errors of the depth hang together; None if unknown, also in results of earlier files
+    albedo_source : function that computes `albedo` on demand; not saved
     """
 
     depth: Map
@@ -128,8 +130,8 @@ class Reconstruction:
     wall_time_ns: int | None = None
     calibration_digest: str = ""
     force_model: ForceModel | None = field(default=None, repr=False)
+    shape_errors: ShapeErrors | None = field(default_factory=lambda: None, repr=False)
     albedo_source: Callable[[], Map] | None = field(default=None, repr=False)
-    difference_source: Callable[[Mask], Map] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         shape = np.shape(self.depth)
@@ -156,7 +158,7 @@ class Reconstruction:
     def __getstate__(self) -> dict[str, Any]:
         """Pickle the content of a file: everything but the sources."""
         values = {one.name: getattr(self, one.name) for one in fields(self)}
-        return {**values, "_later": {}, "albedo_source": None, "difference_source": None}
+        return {**values, "_later": {}, "albedo_source": None}
 
     def changed(self, **changes: Any) -> Reconstruction:
         """A copy with other values, which may be `Later`; what nobody has asked for stays to be computed, once for both."""
@@ -227,17 +229,18 @@ class Reconstruction:
         Raises
         ------
         GelformError
-            The result was loaded from a file, or has no depth_sigma_mm.
+            The calibration states no deviation of slopes, or the result is of a file that lacks `shape_errors`.
         ValueError, TypeError
             No mask of that shape, or one without a pixel.
         """
-        if self.difference_source is None:
+        if self.shape_errors is None or self.depth_sigma_mm is None:
             raise GelformError(
-                "Expected a result fresh from a Reconstructor that states depth_sigma_mm: how errors of depth hang "
-                "together is not saved. Reconstruct the frame again, with a calibration of balls."
+                "Expected a result that says how errors of depth hang together. An earlier gelform did not save that, "
+                "and an imported calibration does not state it. Reconstruct the frame again, with a calibration of balls."
             )
         pixels = check_mask(self.contact if region is None else region, shape=self.shape, name="region")
-        return self.difference_source(pixels)
+        sigma = self.shape_errors.difference_sigma(pixels)
+        return np.asarray(np.maximum(sigma, self.depth_sigma_mm, out=sigma, where=~self.known))
 
     @property
     def depth_mm(self) -> Map:
@@ -332,6 +335,7 @@ def _depth_png(depth: Map, known: Mask) -> bytes:
 KIND, FORMAT_VERSION = "gelform result", 1
 OPTIONAL = "outside_change", "inside_change"  # that earlier files lack
 MARKERS = "markers_"  # before the names of the arrays of a `MarkerFlow`
+SHAPE, SHAPE_MAPS = "shape_errors", ("variance", "common_mm")  # of `ShapeErrors`; the rest is in the settings
 _META = (
     "mm_per_px_sigma", "zero", "solver", "curl_rms", "health", "index", "time_s", "wall_time_ns", "calibration_digest",
     *OPTIONAL,
@@ -360,6 +364,10 @@ def save_result(result: Reconstruction, path: str | PathLike[str], *, overwrite:
         arrays |= {MARKERS + name: values for name, values in result.markers.arrays().items()}
     meta = {name: getattr(result, name) for name in _META}
     meta["health"] = [asdict(finding) for finding in result.health]
+    if result.shape_errors is not None:
+        of_shape = dict(vars(result.shape_errors))
+        arrays |= {f"{SHAPE}_{name}": of_shape.pop(name) for name in SHAPE_MAPS}
+        meta[SHAPE] = of_shape
     write_npz(path, arrays, meta, kind=KIND, version=FORMAT_VERSION, overwrite=overwrite, error=DataError)
 
 
@@ -383,10 +391,15 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
         settings = {name: meta[name] for name in _META if name not in OPTIONAL or name in meta}
         settings["health"] = tuple(Finding(**finding) for finding in meta["health"])
         maps: dict[str, Any] = {one.name: arrays.get(one.name) for one in BESIDE_DEPTH}
+        of_shape = None
+        if SHAPE in meta:
+            kept: dict[str, Any] = {name: arrays[f"{SHAPE}_{name}"] for name in SHAPE_MAPS}
+            of_shape = ShapeErrors(**kept, **meta[SHAPE])
         return Reconstruction(
             depth=arrays["depth_px" if mm_per_px is None else "depth_mm"],
             mm_per_px=mm_per_px,
             markers=MarkerFlow(**dots, mm_per_px=mm_per_px) if dots else None,
+            shape_errors=of_shape,
             **maps,
             **settings,
         )
@@ -407,6 +420,8 @@ def _check_contents(arrays: dict[str, Array], meta: dict[str, Any]) -> None:
     for name in ("mm_per_px_sigma", "index", "time_s", "wall_time_ns", *OPTIONAL):
         if meta.get(name) is not None:
             check_number(meta[name], name)
+    for name, value in meta.get(SHAPE, {}).items():
+        check_within(value, name, 0, np.inf)
     for finding in meta["health"]:
         if not isinstance(finding["name"], str) or not isinstance(finding["message"], str):
             raise TypeError("Expected findings with a name and a message.")

@@ -32,17 +32,26 @@ def indentation_m(result: Reconstruction) -> NDArray[np.float32]:
 class RosMessages:
     """Messages of one sensor, named as in ROS; `hardware_id` of the diagnostics is such as the serial number.
 
+    `place_error` is a calibration's, for the covariance of the pose; see `motion_between`.
+
     DataError: the extra `ros` is not installed. ValueError: the sensor is no ROS name, or a topic is unknown.
     """
 
-    def __init__(self, sensor: str, hardware_id: str = "", topics: Iterable[str] = USUAL) -> None:
+    def __init__(
+        self,
+        sensor: str,
+        hardware_id: str = "",
+        topics: Iterable[str] = USUAL,
+        place_error: float | None = None,
+    ) -> None:
         self.sensor, self.hardware_id = check_sensor_name(sensor), hardware_id
         self.topics = check_topics(topics)
         needed("rosbags.typesys", "ros", "A message of ROS 2")
         self.store = typestore()
         self.camera_frame, self.gel_frame = f"{sensor}_camera_optical_frame", f"{sensor}_gel_optical_frame"
         self._said: tuple[tuple[str, ...] | None, int] = (None, 0)
-        self._follow = Follower()
+        self._place_error = place_error
+        self.reset_pose()
 
     def due(
         self, frame: Frame, result: Reconstruction, stamp_ns: int, *, each_change: bool = True
@@ -128,7 +137,7 @@ class RosMessages:
 
     def reset_pose(self) -> None:
         """Begin the path of the pose again: the next contact is its origin."""
-        self._follow = Follower()
+        self._follow = Follower(place_error=self._place_error)
 
     def _status(self, level: int, message: str, values: dict[str, str], stamp_ns: int) -> memoryview:
         pair = self._type("diagnostic_msgs/msg/KeyValue")

@@ -55,6 +55,7 @@ class BagFile:
     sensor : a ROS name, the prefix of topics and coordinate frames
     topics : names of TOPICS to write
     hardware_id : of the diagnostics, such as the serial number
+    place_error : of the calibration, for the covariance of the pose; None: that of a Mini
 
     Raises
     ------
@@ -71,9 +72,10 @@ class BagFile:
         *,
         topics: tuple[str, ...] = USUAL,
         hardware_id: str = "",
+        place_error: float | None = None,
     ) -> None:
         self.path = check_path(path)
-        self._messages = RosMessages(sensor, hardware_id, topics)
+        self._messages = RosMessages(sensor, hardware_id, topics, place_error)
         from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
         from rosbags.rosbag2 import StoragePlugin, Writer  # of the extra, which the messages needed
 
@@ -188,6 +190,7 @@ class ZenohNode(Closing):
     router : address of the zenoh router, such as "tcp/localhost:7447"
     domain : the subscribers' ROS_DOMAIN_ID
     hardware_id : of the diagnostics, such as the serial number
+    place_error : of the calibration, for the covariance of the pose; None: that of a Mini
 
     Raises
     ------
@@ -207,12 +210,13 @@ class ZenohNode(Closing):
         router: str = ROUTER,
         domain: int = 0,
         hardware_id: str = "",
+        place_error: float | None = None,
     ) -> None:
         if not 0 <= domain <= MAX_DOMAIN:
             raise ValueError(f"Expected a ROS domain from 0 to {MAX_DOMAIN}, got {domain}.")
         for module in ("zenoh", "rosbags.typesys"):
             needed(module, "ros", "Publishing for ROS 2")
-        self._messages = RosMessages(sensor, hardware_id, topics)
+        self._messages = RosMessages(sensor, hardware_id, topics, place_error)
         self._session = _session(router)
         self.node = Node(domain, str(self._session.zid()), f"gelform_{sensor}")
         declare = self._session.liveliness().declare_token
@@ -253,9 +257,15 @@ class RclpyNode:
     """
 
     def __init__(
-        self, sensor: str, *, topics: tuple[str, ...] = USUAL, domain: int = 0, hardware_id: str = ""
+        self,
+        sensor: str,
+        *,
+        topics: tuple[str, ...] = USUAL,
+        domain: int = 0,
+        hardware_id: str = "",
+        place_error: float | None = None,
     ) -> None:
-        self._messages = RosMessages(sensor, hardware_id, topics)
+        self._messages = RosMessages(sensor, hardware_id, topics, place_error)
         kinds = {name: TOPICS[name].type.split("/msg/") for name in self._messages.topics}
         try:
             import rclpy
@@ -442,7 +452,7 @@ def save_bag(
     """
     calibration, topics, name = _checked(calibration, topics, sensor, seconds)
     with (
-        BagFile(path, name, topics=topics, hardware_id=calibration.serial or "") as bag,
+        BagFile(path, name, topics=topics, **_of_unit(calibration)) as bag,
         stream(
             lambda: open_source(source, bgr=bgr, dataset=dataset), calibration, background=background
         ) as running,
@@ -491,7 +501,7 @@ def publish(
     if middleware == "auto":
         middleware = "rclpy" if router == ROUTER and find_spec("rclpy") is not None else "zenoh"
     calibration, topics, name = _checked(calibration, topics, sensor, seconds)
-    how: Any = {"topics": topics, "domain": domain, "hardware_id": calibration.serial or ""}
+    how: Any = {"topics": topics, "domain": domain, **_of_unit(calibration)}
     with (
         RclpyNode(name, **how) if middleware == "rclpy" else ZenohNode(name, router=router, **how) as node,
         stream(
@@ -501,6 +511,10 @@ def publish(
         ) as running,
     ):
         return send_results(running, source, name, node.publish, seconds, progress, "publishing frames")
+
+
+def _of_unit(calibration: Calibration) -> dict[str, Any]:
+    return {"hardware_id": calibration.serial or "", "place_error": calibration.settings.place_error}
 
 
 def _checked(

@@ -1,6 +1,8 @@
-"""gelform evaluate, compare and explain."""
+"""gelform evaluate, compare, explain and measure."""
 
+import csv
 import shutil
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -129,3 +131,62 @@ def test_explain_names_causes_and_draws_them(works, run_json, calibration_file, 
     out, said = works("explain", spotted, "-c", calibration_file)
     assert "saturated (%)" in out
     assert "of the frame is at the camera's upper end. Lower exposure" in said
+
+
+@pytest.fixture(scope="session")
+def measured_results(calibration_file, press_folder, tmp_path_factory):
+    """Two saved results in a folder."""
+    folder = tmp_path_factory.mktemp("results")
+    reconstruct = gelform.Reconstructor(load_calibration(calibration_file))
+    for image in images_of(press_folder):
+        gelform.save_result(reconstruct(gelform.read_image(image)), folder / f"{image.stem}.npz")
+    return folder
+
+
+ASKED = ("--line", "50,60,110,60", "--region", "60,45,80,75", "--region", "90,45,110,75", "--radius", "ball")
+
+
+def test_measure_says_and_writes_what_the_function_does(works, run_json, measured_results, tmp_path):
+    table = tmp_path / "figures.csv"
+    rows = run_json("measure", measured_results, *ASKED, "--csv", table)["results"]
+    written = list(csv.DictReader(table.read_text().splitlines()))
+    paths = sorted(measured_results.iterdir())
+    assert [row["result"] for row in rows] == [str(path) for path in paths]
+    for path, row in zip(paths, rows):
+        wanted = gelform.measure(
+            gelform.load_result(path),
+            lines=[(50, 60, 110, 60)],
+            regions=[(60, 45, 80, 75), (90, 45, 110, 75)],
+            radius="ball",
+        ).quantities
+        assert row["figures"] == [{**asdict(one), "doubts": list(one.doubts)} for one in wanted]
+        of_file = [one for one in written if one["result"] == str(path)]
+        assert [(one["of"], one["name"]) for one in of_file] == [(one.of, one.name) for one in wanted]
+        for one, by in zip(of_file, wanted):
+            assert (float(one["value"]) if one["value"] else None) == by.value
+            assert (float(one["sigma"]) if one["sigma"] else None) == by.sigma
+    out, err = works("measure", paths[0], *ASKED)
+    assert "region 2 - region 1" in out
+    assert "±" in out
+    assert f"line 1, {wanted[2].name}: " in err or not wanted[2].doubts
+
+
+@pytest.mark.slow
+def test_measure_draws_lines_and_regions(run_json, measured_results, tmp_path):
+    pytest.importorskip("matplotlib", reason="matplotlib, the extra `plots`, is not installed")
+    rows = run_json("measure", measured_results, *ASKED, "--line", "40,30,120,90", "-o", tmp_path / "drawn")[
+        "results"
+    ]
+    for row in rows:
+        assert gelform.read_image(row["picture"]).shape[2] == 3
+    bare = run_json("measure", measured_results, "-o", tmp_path / "contact")["results"]
+    assert {one["of"] for one in bare[0]["figures"]} == {"contact"}
+
+
+def test_measure_refuses_in_words(fails, measured_results, calibration_file, tmp_path):
+    result = sorted(measured_results.iterdir())[0]
+    assert "in pixels of the image, 0-159 and 0-119" in fails("measure", result, "--line", "1,2,300,4")
+    assert "expected X1,Y1,X2,Y2" in fails("measure", result, "--region", "1,2,3", status=2)
+    assert "expected ball or cylinder" in fails("measure", result, "--radius", "cone", status=2)
+    assert "found none" in fails("measure", tmp_path)
+    assert "result" in fails("measure", calibration_file)

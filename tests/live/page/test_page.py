@@ -403,6 +403,8 @@ def test_the_ruler_measures_between_two_points(page, still):
     assert measured["rise"] == pytest.approx(rise, abs=1e-4)
     said = f"A and B are {measured['distance']:.2f} mm apart, B is {measured['rise']:.3f} mm deeper."
     until(lambda: page.inner_text("#ruler output") == said)
+    by_server = gelform.measure(still, lines=[(ax, ay, bx, by)]).quantities
+    until(lambda: page.inner_text("#ruler [role=status]").startswith(", ".join(map(str, by_server))))
     shown = [float(page.input_value(f"#ruler input >> nth={k}")) for k in range(4)]
     np.testing.assert_allclose(shown, np.array([ax, ay, bx, by]) * still.mm_per_px, atol=0.006)
     assert page.get_attribute("#ruler input >> nth=3", "aria-label") == "B, y in mm"

@@ -8,7 +8,8 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import ClassVar, Literal
+from types import GenericAlias
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pytest
@@ -110,6 +111,23 @@ def test_a_record_comes_back_from_a_file_with_its_types(more):
     assert (again.shape, again.sigma, again.gain) == (record.shape, record.sigma, record.gain)
     np.testing.assert_array_equal(again.nodes, record.nodes)
     np.testing.assert_array_equal(again.mask, record.mask)
+
+
+def test_arrays_are_known_where_their_type_is_an_alias(monkeypatch):
+    """As numpy has it from 2.5 on: `NDArray[...]` has an origin of its own, whose `__value__` is the array."""
+
+    class Alias:
+        __value__ = np.ndarray[Any, np.dtype[np.float64]]
+        __class_getitem__ = classmethod(GenericAlias)
+
+    monkeypatch.setitem(Record.__annotations__, "nodes", Alias[np.float64])
+    monkeypatch.setitem(Record.__annotations__, "mask", Alias[np.bool_] | None)
+    record = Record(np.arange(3.0), (24, 32), np.eye(2, dtype=bool))
+    arrays, settings = record.to_arrays()
+    assert arrays.keys() == {"nodes", "mask"}
+    np.testing.assert_array_equal(
+        Record.from_arrays(arrays, json.loads(json.dumps(settings))).nodes, record.nodes
+    )
 
 
 def test_a_file_may_lack_what_has_a_default_and_nothing_else():

@@ -1,8 +1,9 @@
-"""gelform evaluate, compare and explain: errors of calibrations, and reasons for the confidence of each pixel."""
+"""gelform evaluate, compare, explain and measure: errors of calibrations, reasons for confidence, figures of shapes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,8 +12,8 @@ from typer import BadParameter
 import gelform
 from gelform import DataError
 from gelform.cli import options
-from gelform.cli.console import ShownOption, figure, say
-from gelform.cli.files import Inputs, make_folder, named, new_pictures, other_size
+from gelform.cli.console import ShownOption, figure, mistakes_in, say
+from gelform.cli.files import Inputs, check_output, make_folder, named, new_pictures, other_size
 
 if TYPE_CHECKING:
     from gelform.arrays import Image
@@ -188,6 +189,90 @@ def compare(
     shown.json({"a": str(calibrations[0]), "b": str(calibrations[1]), "images": rows})
 
 
+def measure(
+    *,
+    results: Annotated[list[Path], options.argument("RESULT...", "Results (.npz), or folders of them.")],
+    line: Annotated[
+        list[str] | None,
+        options.option(
+            "X1,Y1,X2,Y2", "Across a groove or ridge, px, from shoulder to shoulder; may be repeated."
+        ),
+    ] = None,
+    region: Annotated[
+        list[str] | None,
+        options.option(
+            "X1,Y1,X2,Y2", "Opposite corners of a region, px; may be repeated. Default: the contact."
+        ),
+    ] = None,
+    radius: Annotated[str | None, options.option("ball|cylinder", "Fit one to each region.")] = None,
+    csv: Annotated[Path | None, options.option("FILE", "Write the figures as a table.")] = None,
+    output: options.PictureFolder = None,
+    overwrite: options.Overwrite = False,
+    shown: ShownOption,
+) -> None:
+    """Measure steps, grooves, radii, angles, roughness.
+
+    Each figure has a standard deviation, and says what it does not hold for. A line gives its length, how much deeper its
+    second end is, and the groove or ridge across it: depth or height, width at half of it, and the angles of its flanks. A
+    region gives its depth, flatness and roughness; each further region its step from the first one, and the angle that both
+    faces enclose. With -o, DIR/<result>.png shows the depth and the profile of each line.
+
+    \b
+    Examples:
+      gelform measure out/frame.npz --line 120,80,200,80 -o measured
+      gelform measure out/frame.npz --region 60,60,110,180 --region 200,60,250,180
+      gelform measure out/*.npz --region 120,80,200,160 --radius ball --csv radii.csv
+      gelform measure out/ --line 120,80,200,80 --json
+    """
+    from gelform.foundations.files import table_text, written_file
+
+    form = "X1,Y1,X2,Y2"
+    given: dict[str, Any] = {
+        "lines": [options.numbers(one, form, "--line") for one in line or ()],
+        "regions": [options.numbers(one, form, "--region") for one in region or ()],
+        "radius": radius and options.one_of(radius, ("ball", "cylinder"), "--radius"),
+    }
+    paths = [one for path in results for one in (sorted(path.rglob("*.npz")) if path.is_dir() else [path])]
+    if not paths:
+        raise DataError(
+            f"Expected results (.npz) in {results[0]}, found none. Reconstruct images into it first."
+        )
+    pictures = new_pictures(paths, output, overwrite=overwrite, read=[csv])
+    if csv is not None:
+        check_output(csv, overwrite=overwrite)
+
+    def measured(path: Path) -> tuple[dict[str, Any], Callable[[], Image]]:
+        from gelform.exchange.plots import measured_picture
+
+        result = gelform.load_result(path)
+        with named(path), mistakes_in(path):
+            found = gelform.measure(result, **given)
+        if not found.quantities:
+            raise DataError(f"{path}: Nothing touches the gel. Give a --line or a --region.")
+        return {"figures": [asdict(one) for one in found.quantities], "all": found}, lambda: measured_picture(
+            result, found
+        )
+
+    rows = _rows_of_images(pictures, measured, "measuring", shown, overwrite=overwrite, of="result")
+    for row in rows:
+        every = row.pop("all").quantities
+        shown.table(row["result"], ("figure", "value"), [(one.of, str(one)) for one in every])
+        for one in every:
+            for said in one.doubts:
+                shown.say(f"{one.of}, {one.name}: {said}")
+    if csv is not None:
+        names = ("of", "name", "value", "sigma", "unit")
+        table = [
+            (row["result"], *map(one.get, names), " ".join(one["doubts"]))
+            for row in rows
+            for one in row["figures"]
+        ]
+        with written_file(csv, overwrite=overwrite) as handle:
+            handle.write(table_text([("result", *names, "doubts"), *table]).encode())
+    _say_pictures(rows, output, shown)
+    shown.json({"results": rows})
+
+
 def explain(
     *,
     images: options.Images,
@@ -250,8 +335,9 @@ def _rows_of_images(
     shown: ShownOption,
     *,
     overwrite: bool,
+    of: str = "image",
 ) -> list[dict[str, Any]]:
-    """The figures of each image, and the path of its picture, which is drawn if there is one."""
+    """The figures of each image (or `of` another kind), and the path of its picture, which is drawn if there is one."""
     rows = []
     with shown.progress() as progress:
         for done, (image, picture) in enumerate(pictures):
@@ -262,7 +348,7 @@ def _rows_of_images(
 
                 make_folder(picture.parent)
                 save_picture(picture, draw(), overwrite=overwrite)
-            rows.append({"image": str(image), "picture": picture and str(picture), **figures})
+            rows.append({of: str(image), "picture": picture and str(picture), **figures})
         progress(len(pictures), len(pictures), what)
     return rows
 

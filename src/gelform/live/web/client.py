@@ -54,6 +54,13 @@ def number(value: Any, most: float = 1e6) -> float:
     return float(value)
 
 
+def four_numbers(value: Any) -> list[float]:
+    """Check a list of four finite numbers."""
+    if not isinstance(value, list) or len(value) != 4:
+        raise MessageError("Expected four numbers.")
+    return [number(one) for one in value]
+
+
 def yes_no(value: Any) -> bool:
     """Check True or False."""
     if not isinstance(value, bool):
@@ -88,6 +95,7 @@ COMMANDS: dict[str, tuple[Callable[..., dict[str, Any] | None], dict[str, Callab
     "speed": (actions.on_player(Player.set_speed), {"speed": number}),
     "loop": (actions.on_player(Player.loop), {"loop": yes_no}),
     "share": (actions.share, {}),
+    "measure": (actions.measure_line, {"ends_px": four_numbers}),
     "press": (actions.press, {"x_px": number, "y_px": number}),
 }
 

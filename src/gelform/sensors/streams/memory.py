@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -20,7 +20,7 @@ from gelform.foundations.filters import robust_sigma
 from gelform.image import view
 from gelform.image.health import DepthLimit
 from gelform.image.markers import MarkerFlow
-from gelform.result import Later
+from gelform.result import Later, ShapeErrors
 from gelform.result.maps import BESIDE_DEPTH
 from gelform.sensors.streams.sensor_health import (
     FROZEN,
@@ -267,7 +267,6 @@ def against_zero(
     observed = result.observed_gradients
     if observed is not None and zero.observed_gradients is not None:
         observed = observed - zero.observed_gradients
-    sources = result.difference_source, zero.difference_source
     return result.changed(
         depth=depth,
         depth_sigma_mm=sigma,
@@ -277,7 +276,7 @@ def against_zero(
         contact=Later(contact),
         known=known,
         zero=ZERO_SET,
-        difference_source=None if None in sources else partial(_difference_sigma, *sources),
+        shape_errors=Later(lambda: _both_shapes(result.shape_errors, zero.shape_errors)),
     )
 
 
@@ -286,8 +285,14 @@ def _both(one: Map | None, other: Map | None) -> Map | None:
     return None if one is None or other is None else np.hypot(one, other)
 
 
-def _difference_sigma(one: Any, other: Any, region: Mask) -> Map:
-    return np.asarray(np.hypot(one(region), other(region)), dtype=np.float32)
+def _both_shapes(one: ShapeErrors | None, other: ShapeErrors | None) -> ShapeErrors | None:
+    """The errors of a difference, whose slopes are off by either; None if one is unknown."""
+    if one is None or other is None:
+        return None
+    variance, common = (
+        np.concatenate([getattr(x, n) for x in (one, other)]) for n in ("variance", "common_mm")
+    )
+    return replace(one, variance=variance, common_mm=common)
 
 
 def of_frame(result: Reconstruction, frame: Frame) -> Reconstruction:

@@ -89,7 +89,7 @@ class Stored:
             value = getattr(self, name)
             if hasattr(hint, "to_arrays"):
                 arrays |= value.to_arrays()
-            elif get_origin(hint) is not np.ndarray:
+            elif not _is_array(hint):
                 settings[name] = list(value) if isinstance(value, tuple) else value
             elif value is not None:
                 arrays[name] = value
@@ -100,7 +100,7 @@ class Stored:
         """The record of `to_arrays`; KeyError, TypeError or ValueError: they make none."""
         values: dict[str, Any] = {}
         for name, hint, needed in _fields(cls):
-            stored = arrays if get_origin(hint) is np.ndarray else settings
+            stored = arrays if _is_array(hint) else settings
             if hasattr(hint, "from_arrays"):
                 values[name] = hint.from_arrays(arrays)
             elif needed or stored.get(name) is not None:
@@ -119,6 +119,12 @@ def _fields(record: type) -> Iterator[tuple[str, Any, bool]]:
     for one in fields(record):
         kinds = get_args(hints[one.name])
         yield one.name, kinds[0] if NoneType in kinds else hints[one.name], one.default is MISSING
+
+
+def _is_array(hint: Any) -> bool:
+    """Whether a type is that of an array; from numpy 2.5 on, `NDArray[...]` is an alias of it."""
+    origin = get_origin(hint)
+    return np.ndarray in (origin, get_origin(getattr(origin, "__value__", None)))
 
 
 class FittableColorModel(ColorModel, Protocol):

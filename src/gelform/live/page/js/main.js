@@ -189,6 +189,7 @@ connection.addEventListener("state", ({ detail }) => {
 });
 
 connection.addEventListener("done", ({ detail }) => { if (detail.problem) toast(detail.problem, "error"); });
+connection.addEventListener("measured", ({ detail }) => { if (String(detail.ends_px) === String(stage().ruler.ends.flat())) { stage().ruler.figures = detail.text; drawRulerLine(frameNow()); } });
 connection.addEventListener("snapshot", ({ detail }) => toast(element("span", {}, `Snapshot ${detail.number}: `, ...detail.files.flatMap((name) => [element("a", { href: `/snapshots/${detail.number}/${name}`, download: "", text: name }), " "])), "kept"));
 connection.addEventListener("trouble", ({ detail }) => toast(detail, "error"));
 connection.addEventListener("open", () => { for (const one of stages) one.series.clear(); drawStatus(station(), true, look); sayOld(); });
@@ -289,7 +290,7 @@ function startPage() {
   byId("against").addEventListener("change", redraw);
   byId("follow").addEventListener("click", follow);
   byId("measure").addEventListener("click", measure);
-  drawRulerLine = startRuler(byId("ruler"), () => stage().ruler);
+  drawRulerLine = startRuler(byId("ruler"), () => stage().ruler, send);
   byId("span").addEventListener("change", redraw);
   startWhole(byId("stage"), byId("whole"));
   byId("reset-view").addEventListener("click", () => stages.forEach((one) => one.surface.orbit.reset()));

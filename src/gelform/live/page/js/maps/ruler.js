@@ -9,6 +9,8 @@ export class Ruler {
     this.changed = changed;
     this.on = false;
     this.ends = []; // [x, y] in px of the image, whole numbers at the pixels' centers
+    this.asked = { key: "", at: 0 };
+    this.figures = ""; // of the groove or ridge between both ends, as the server said them last
   }
 
   toggle() { this.on = !this.on; this.changed(); }
@@ -31,6 +33,16 @@ export class Ruler {
     if (this.ends.length < 2 || !frame?.has("depth")) return null;
     const [a, b] = this.ends, [x, y] = pitchOf(frame);
     return { distance: Math.hypot((b[0] - a[0]) * x, (b[1] - a[1]) * y), rise: frame.depthAt(...b) - frame.depthAt(...a) };
+  }
+
+  /** Whether to ask for the figures: once where the ends moved, every two seconds where frames come. */
+  due(frame) {
+    if (!this.on || this.ends.length < 2 || frame?.unit !== "mm" || !frame.has("depth")) return false;
+    const ends = this.ends.join(), key = `${ends} ${frame.header.time_s}`;
+    if (key === this.asked.key || (this.asked.key.startsWith(`${ends} `) && performance.now() < this.asked.at + 2000)) return false;
+    if (!this.asked.key.startsWith(`${ends} `)) this.figures = "";
+    this.asked = { key, at: performance.now() };
+    return true;
   }
 
   /** The measurement as a sentence. */
@@ -62,12 +74,12 @@ export function drawRuler(context, ruler, px) {
   ruler.ends.forEach(([x, y], k) => { context.strokeText(NAMES[k], x + 8 * px, y - 6 * px); context.fillText(NAMES[k], x + 8 * px, y - 6 * px); });
 }
 
-/** The line below the profile: the ends as numbers, which can be typed, and what is measured. `chosen` gives the ruler. */
-export function startRuler(box, chosen) {
+/** The line below the profile: the ends as numbers, which can be typed, and what is measured. `chosen` gives the ruler, `send` asks the server. */
+export function startRuler(box, chosen, send) {
   let shown = null;
   const inputs = NAMES.map((name, nth) => ["x", "y"].map((axis, k) => element("input", { type: "number", min: 0, step: "any", oninput: ({ target }) => target.value !== "" && chosen().set(nth, k, Number(target.value), shown) })));
-  const said = element("output", {}), unit = element("small", {});
-  box.append(...NAMES.flatMap((name, nth) => [element("b", { text: name }), ...inputs[nth]]), unit, said);
+  const said = element("output", {}), unit = element("small", {}), figures = element("small", { role: "status" });
+  box.append(...NAMES.flatMap((name, nth) => [element("b", { text: name }), ...inputs[nth]]), unit, said, figures);
   return (frame) => {
     const ruler = chosen();
     shown = frame;
@@ -81,5 +93,7 @@ export function startRuler(box, chosen) {
     }));
     setText(unit, frame?.unit ?? "");
     setText(said, ruler.said(frame));
+    if (ruler.due(frame)) send("measure", { ends_px: ruler.ends.flat() });
+    setText(figures, ruler.figures);
   };
 }
