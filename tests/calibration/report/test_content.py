@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gelform.calibration.coverage import NEEDED
 from gelform.calibration.inputs import MOST_SIGMAS, REMEDY, BallReading
 from gelform.calibration.report.content import (
     FORMAT,
@@ -26,7 +27,6 @@ from gelform.calibration.report.content import (
     square_error_by_direction,
     verdict_of,
 )
-from gelform.calibration.coverage import NEEDED
 from gelform.calibration.report.record import FIGURES, summary
 from gelform.result.metrics import PressErrors, angle_deg
 
@@ -315,7 +315,10 @@ def test_the_error_of_few_presses_is_said_with_its_own():
         # what more presses mend waits for them
         ({"presses_used": 10.0, "normal_free_deg": 9.0}, "presses used: 10, fair"),
         ({"covered_percent": 70.0, "cap_free_um": 90.0}, f"{COVERED_LABEL}: 70 %, fair"),
-        ({"presses_used": 10.0, "covered_percent": 7.0, "narrow_percent": 50.0}, f"{COVERED_LABEL}: 7 %, poor"),
+        (
+            {"presses_used": 10.0, "covered_percent": 7.0, "narrow_percent": 50.0},
+            f"{COVERED_LABEL}: 7 %, poor",
+        ),
         ({"presses_used": 10.0, "off_contact_um": 90.0}, "depth error off contact, held out: 90 µm, poor"),
         # what is not known is no fault
         ({"rejected_percent": None, "ball_sizes": 1.0}, "ball sizes: 1, fair"),
@@ -340,7 +343,9 @@ def test_an_uncertainty_that_is_too_large_is_fair_and_no_step():
 
 def test_advice_has_a_number_of_presses_and_their_depth(content, calibration):
     """As many as are advised, or as cover the gel; as deep as the contacts of the ball say."""
-    number, depth = re.search(r"(\d+) more times?, about (\S+) mm deep", action_of(content, "presses_used")).groups()
+    number, depth = re.search(
+        r"(\d+) more times?, about (\S+) mm deep", action_of(content, "presses_used")
+    ).groups()
     rows = [row for row in content["presses"] if row["accepted"]]
     assert int(number) >= NEEDED.advised.presses - len(rows)
     radii = np.array([row["contact_radius_px"] for row in rows]) * calibration.known_mm_per_px

@@ -129,7 +129,9 @@ def fraction_within_sigma(
     count, by_place = _tile_means(pixels, shape, grid, inside)
     tile = tile_of(pixels["x_px"], pixels["y_px"], shape, grid)
     groups = [tile == k for k in np.flatnonzero(np.array(count) >= MIN_IN_BIN)]
-    off = [_off_right(inside[one], pixels["press"][one]) for one in (*(m for _, m in _bins_of(slope)), *groups)]
+    off = [
+        _off_right(inside[one], pixels["press"][one]) for one in (*(m for _, m in _bins_of(slope)), *groups)
+    ]
     known = [one for one in off if one is not None]
     return {
         "all": float(inside.mean()),
@@ -142,7 +144,7 @@ def fraction_within_sigma(
 
 
 def _off_right(inside: Numbers, press: Array) -> tuple[float, float] | None:
-    """How far a fraction of pixels lies below and above 0.68, beyond its standard error over presses; None of few presses."""
+    """How far a fraction is below and above 0.68, beyond its standard error over presses; None of few presses."""
     _, index = np.unique(press, return_inverse=True)
     fraction, sums = inside.mean(), np.bincount(index, inside - inside.mean())
     if not NEEDED.interval.met(sums.size):
@@ -202,7 +204,7 @@ class Limit:
     action: str  # the advice if it is not good
 
 
-# Causes come before their effects. {press} is the number of presses and their depth, {steep} the depth that shows a slope.
+# Causes come before their effects. {press} says how often and how deep to press, {steep} how deep for a slope.
 LIMITS = (
     Limit("rejected_percent", "presses rejected", "%", 10, 20, False,
           "Look at the rejected presses. Each reason says what to press or to write down differently."),
@@ -217,7 +219,7 @@ LIMITS = (
     Limit("off_contact_um", "depth error off contact, held out", "µm", 30, 80, False,
           "Take a new background image in the same minute as the presses, with exposure and white balance fixed."),
     Limit("gain_percent", "largest deviation of the slope gain from 1", "%", 5, 12, False,
-          "Press {steep}, or add a smaller ball. Too few presses show the slopes whose gain is wrong."),
+          "{steep}. Too few presses show the slopes whose gain is wrong."),
     Limit("normal_free_deg", "angle error of the normals, held out", "°", 3, 5, False,
           "Check that exposure and light did not change. Look for cast shadows. {press} at the places marked 1, 2, 3."),
     Limit("radius_percent", "error of the ball's radius, held out", "%", 3, 6, False,
@@ -226,10 +228,11 @@ LIMITS = (
           "Look for a pattern in the depth pictures: dust, a shadow, a scratch. {press} at the places marked 1, 2, 3."),
     Limit("narrow_percent", "uncertainty too small, share within it below 68 %", "points",
           68 - SHARE_RIGHT[0], 68 - SHARE_FAIR, False,
-          "{press} at the places marked 1, 2, 3. Until then, expect larger errors than stated where the report's share is low."),
+          "{press} at the places marked 1, 2, 3. Until then, errors are larger than stated where the share is low."),
     Limit("ball_sizes", "ball sizes", "", 2, 1, True,
           "Add presses of a second ball of another size. One size alone cannot show a wrong slope scale."),
-    Limit("wide_percent", "uncertainty too large, share within it above 68 %", "points", SHARE_RIGHT[1] - 68, math.inf, False,
+    Limit("wide_percent", "uncertainty too large, share within it above 68 %", "points",
+          SHARE_RIGHT[1] - 68, math.inf, False,
           "Use it. Some slopes are better than their stated uncertainty."),
     Limit("scale_percent", "uncertainty of the scale", "%", 1, 3, False,
           "Measure mm_per_px on an object of known size. Write it into sensor.toml, together with mm_per_px_sigma."),
@@ -263,7 +266,7 @@ def checks_of(
     A check that the sensor does not need, and that has no figure, is left out. Some figures have a standard error. `advice`
     has the words for {press} and {steep} in the actions.
     """
-    words = {"press": "Press again", "steep": "a little deeper", **(advice or {})}
+    words = {"press": "Press again", "steep": "Press a little deeper", **(advice or {})}
     return [
         {
             **asdict(limit),
@@ -281,9 +284,9 @@ def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = Non
     """The headline: the worse of normals and radius in words, and one sentence about the next step.
 
     Both are errors at the places that were pressed. So over any other poor check the headline is fair at best, and names it.
-    The next step belongs to the first check that is poor, then fair, then not known, because causes come before their effects.
-    What more presses mend is left to a check of their number and places that is not good. If all is good, the sentence says
-    how to keep it so. An uncertainty that is too large calls for nothing.
+    The next step belongs to the first check that is poor, then fair, then not known; causes come before their effects.
+    What more presses mend is left to a check of their number and places that is not good. An uncertainty that is too large
+    calls for nothing. If all is good, the sentence says how to keep it so.
     """
     named = {check["name"]: check for check in checks}
     level = max((named[name]["level"] for name in HEADLINE), key=LEVELS.index)
@@ -518,12 +521,12 @@ def _advice(content: Mapping[str, Any], coverage: Coverage) -> dict[str, str]:
     balls = np.array([row["ball_diameter_mm"] / 2 for row in used])
     radii = np.minimum(scale * np.array([row["contact_radius_px"] for row in used]), balls)
     depth = float(np.median(balls - np.sqrt(balls**2 - radii**2)))
-    advice = {"press": f"Press the ball {counted(more, 'more time')}, about {depth:.1g} mm deep"}
+    press = f"Press the ball {counted(more, 'more time')}, about {depth:.1g} mm deep"
     worst = max(_judged_gains(content), key=lambda b: abs(b["gain"] - 1), default=None)
-    if worst:  # so deep that the contact's edge has the slope
-        deep = float(np.median(balls)) * (1 - 1 / math.hypot(1, worst["slope_to"]))
-        advice["steep"] = f"at least {deep:.2g} mm deep, so that the ball shows slopes of {worst['slope_to']:g}"
-    return advice
+    # The contact's edge has the steepest slope.
+    deep = float(np.median(balls)) * (1 - 1 / math.hypot(1, worst["slope_to"])) if worst else 0.0
+    deeper = f"Press at least {deep:.2g} mm deep, or add a smaller ball"
+    return {"press": press, "steep": deeper if deep > depth else f"{press}, at the places marked 1, 2, 3"}
 
 
 def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
