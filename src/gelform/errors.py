@@ -90,6 +90,7 @@ DOUBTFUL = frozenset(
         "not_this_gel",
         "other_camera",
         "other_gel",
+        "slopes_contradict",
     }
 )
 

@@ -17,7 +17,7 @@ from gelform.calibration_file import Calibration, as_calibration
 from gelform.depth.coarse import CoarseDepth
 from gelform.depth.contact import PreparedContact, SlopeDeviations, Surround, off_rest, unknown_contact
 from gelform.depth.integrate import FrameDepth, Integration
-from gelform.depth.sigma import DepthErrors, DepthSigma, Purpose, steep_finding
+from gelform.depth.sigma import DepthErrors, DepthSigma, Purpose, contradicted_slopes, steep_finding
 from gelform.errors import Finding
 from gelform.foundations.checks import check_image
 from gelform.foundations.pool import Pool, keep_freed_memory
@@ -244,6 +244,9 @@ class FrameRecord:
             )
             if not any(one.name == "background_pressed" for one in of_depth):
                 of_depth += off_rest(self.depth_mm, self.depth_sigma_mm, self.contact, self.known)
+        elif self.fixed.known is None:
+            slopes = self.slopes.gradients, self.gradients
+            of_depth = contradicted_slopes(*slopes, self.depth_mm, self.contact)
         touched = partial(self.today.untouched_image.touched, self.seen.image)
         maps = self.contact, self.depth_mm, self.touch[1], self.slopes.at_rest, self.known
         unknown = unknown_contact(*maps, touched, self.seen.hidden, self.fixed.pitch)

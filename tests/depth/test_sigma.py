@@ -11,7 +11,15 @@ from scipy.special import k1
 from gelform.depth import coarse as coarse_module
 from gelform.depth import sigma
 from gelform.depth.coarse import Coarse, coarse_of
-from gelform.depth.sigma import LENGTH, PULL, WINDOW, DepthSigma, squared_factor, steep_finding
+from gelform.depth.sigma import (
+    LENGTH,
+    PULL,
+    WINDOW,
+    DepthSigma,
+    contradicted_slopes,
+    squared_factor,
+    steep_finding,
+)
 from gelform.depth.solvers.dct import CosineFilter
 from gelform.errors import ConvergenceError
 from gelform.slopes.gradients import slopes_of_solution
@@ -126,6 +134,25 @@ def test_an_error_in_proportion_is_that_share_of_the_depth():
     assert common[60, 80] == pytest.approx(0.08 * 0.5, rel=0.06)
     np.testing.assert_allclose(np.median(common[at_rest]), 0, atol=1e-4)
     assert not found.steep_mm.any()
+
+
+def test_slopes_that_are_no_surface_s_are_said():
+    """Noise as large as half of the slopes, or a hole for a hill; not at rest, where all slopes are noise."""
+    rng = np.random.default_rng(0)
+    depth, contact = np.float32(bump(1.0)), bump(1.0) > 0.1
+    solved = slopes_of_solution(depth, (PITCH, PITCH))
+    size = np.sqrt(np.mean(solved[contact] ** 2))
+
+    def found(noise, depth=depth, contact=contact):
+        read = solved + np.float32(noise * size) * rng.normal(size=solved.shape).astype(np.float32)
+        return contradicted_slopes(read, solved, depth, contact)
+
+    assert found(0.4) == found(0.4, contact=np.zeros_like(contact)) == ()
+    (noisy,) = found(0.7)
+    assert noisy.name == "slopes_contradict"
+    assert noisy.figure == pytest.approx(0.7, rel=0.05)
+    (hole,) = found(0.1, depth=-depth + np.float32(0.3))
+    assert "the deepest valley has 2" in hole.message
 
 
 def test_steep_slopes_may_miss_depth_and_are_named_where_that_is_most():

@@ -18,6 +18,7 @@ import scipy
 import gelform
 from gelform.errors import DataError
 from gelform.exchange.importers import (
+    STEEPEST,
     UNTOUCHED_CHANGE,
     TaximLook,
     TaximTables,
@@ -117,6 +118,26 @@ def test_matlab_s_table_states_its_range_and_scale(tmp_path):
     other = matlab_file(tmp_path / "other.mat", FrameSize=[480, 640, 3])
     with pytest.raises(DataError, match=r"0.05 mm per pixel of frames of 480x640 px, and the background is"):
         gelform.import_calibration(other, "lut", background=FLAT)
+
+
+def test_a_table_s_steep_slopes_are_cut_and_said(tmp_path):
+    """5 % of the angles of a laboratory's table were over 70 degrees; of a ball it made 3 mm, with holes of 1-3 mm."""
+    gentle = matlab_file(tmp_path / "gentle.mat")
+    made = gelform.import_calibration(gentle, "lut", background=FLAT)
+    assert made.findings == ()
+    assert made.settings.others["steepest_slope"] == pytest.approx(np.hypot(6, 4) * 0.128, rel=0.05)
+    steep = np.full((40, 40, 40), 0.1)
+    steep[20:22] = np.arctan(8.0)
+    path = matlab_file(tmp_path / "steep.mat", GradMag=steep, GradDir=0 * steep)
+    made = gelform.import_calibration(path, "lut", background=FLAT)
+    assert np.linalg.norm(made.color_model.table[..., :2], axis=-1).max() == pytest.approx(STEEPEST, abs=1e-5)
+    made.save(tmp_path / "made.npz")
+    reconstruct = gelform.Reconstructor(gelform.load_calibration(tmp_path / "made.npz"))
+    (finding,) = [
+        one for one in reconstruct.from_image(FLAT.astype(np.uint8)).health if one.name == "steep_table"
+    ]
+    assert finding.figure == pytest.approx(8)
+    assert "slopes of up to 8 (83°), 5 % of them over 1.57 (58°)" in finding.message
 
 
 def test_other_files_of_matlab_are_refused(tmp_path):

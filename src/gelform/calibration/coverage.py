@@ -194,6 +194,17 @@ def press_next(
     return tuple(places)
 
 
+def presses_to_cover(coverage: Coverage, fraction: float) -> int:
+    """The number of presses at the next places (`press_next`) that show a fraction of tiles times directions."""
+    shape, counts = coverage.shape, coverage.counts.copy()
+    places = press_next(coverage, counts.size) if coverage.fraction < fraction else ()
+    for number, place in enumerate(places):
+        if np.mean(counts > 0) >= fraction:
+            return number
+        counts += shown_by((place.x_px, place.y_px, coverage.contact_radius_px), shape, counts.shape[:2])
+    return len(places)
+
+
 def name_of_place(x_px: float, y_px: float, shape: tuple[int, int]) -> str:
     """ "top left", "top", ... "middle" ... "bottom right": the ninth of the image that a point lies in."""
     row = min(2, max(0, int(3 * y_px / shape[0])))

@@ -212,6 +212,27 @@ def steep_finding(depth_mm: Map, contact: Mask, steep: Map, errors: DepthErrors)
     return (Finding("steep", message, missing_mm),)
 
 
+def contradicted_slopes(read: Slopes, solved: Slopes, depth: Map, contact: Mask) -> tuple[Finding, ...]:
+    """A finding if slopes (H, W, 2) of unknown deviation are no surface's: for models whose errors no press has shown.
+
+    The slopes in the contact are off those of the solved depth (H, W) by more than half their size, or a valley is deeper
+    than half the height.
+    """
+    if not contact.any():
+        return ()
+    off, size = (float(np.sqrt(np.mean(np.square(one[contact])))) for one in (read - solved, solved))
+    valley, height = -float(depth.min()), float(depth.max())
+    if 2 * max(off / size, valley / height) <= 1:
+        return ()
+    message = (
+        "The slopes contradict each other, or what they should give: in the contact they are off those of any surface by "
+        f"{100 * off / size:.0f} %, and the deepest valley has {100 * max(valley, 0) / height:.0f} % of the height. "
+        "The imported model does not fit this sensor. Check its range, its signs and the background, or press a ball to "
+        "calibrate."
+    )
+    return (Finding("slopes_contradict", message, max(off / size, valley / height)),)
+
+
 def _spread(coarse: Coarse, shape: tuple[int, int]) -> Map:
     """Gains of the grid's cosine modes for the mirrored kernel |grad G|^2, averaged over cells, for slopes^2 -> px^2."""
     length, (x_px, y_px) = shape[0] * LENGTH, coarse.pitch_px

@@ -13,7 +13,7 @@ import pickletools
 import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from datetime import datetime, timezone
 from io import BytesIO
 from itertools import pairwise
@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 from gelform import View, __version__, image_from_frame
 from gelform.arrays import Array, Map, Numbers
 from gelform.calibration_file import Calibration, CalibrationSettings
-from gelform.errors import DataError, needed, said
+from gelform.errors import DataError, Finding, needed, said
 from gelform.foundations.checks import (
     check_choice,
     check_image,
@@ -57,6 +57,7 @@ from gelform.slopes.color_models.networks import Layers
 RANGE_LEVELS = (-90.0, 90.0)  # gray levels, the usual range of differences in a look-up table without one
 MOST_LEVELS = 1024.0  # gray levels, the widest range of differences
 HEIGHT, WIDTH = 480, 640  # px, size of the images whose pixels Taxim's polynomials use
+STEEPEST = np.pi / 2  # mm/mm, of a table: programs of MATLAB's take the angle as slope, which is under pi/2
 MEMBERS = ("bins", "grad_b", "grad_g", "grad_r")  # "r" is channel 0 of an OpenCV image, which is blue
 _DAMAGED = (OSError, *DAMAGED_ARCHIVE, ValueError, AttributeError, TypeError)
 
@@ -79,8 +80,17 @@ def read_lut(
     such pairs in a row, for blue, green and red; -90 to 90 by default. `depth_sign` is 1 if the table's surface rises where
     pressed, -1 if it falls.
 
+    Slopes over pi/2 become that (`STEEPEST`).
+
     DataError: the file is missing, no such table, or damaged. ValueError: the range is none, or is given for a `.mat`.
     """
+    return _lut(path, background, depth_sign, range_levels)[0]
+
+
+def _lut(
+    path: str | PathLike[str], background: Map, depth_sign: int, range_levels: Sequence[float] | None
+) -> tuple[LookupModel, float, tuple[Finding, ...]]:
+    """A table (`read_lut`), the steepest slope in its file, and a finding if that is beyond `STEEPEST`."""
     if depth_sign not in (1, -1):
         raise ValueError(f"Expected depth_sign 1 or -1, got {depth_sign}.")
     if is_matlab(path):
@@ -101,10 +111,26 @@ def read_lut(
         slopes = array.astype(np.float64).transpose(2, 1, 0, 3)  # to red, green, blue
         low, high = _ranges(range_levels)
         step = (high - low) / len(slopes)
+    steep = np.linalg.norm(slopes, axis=-1, keepdims=True)
+    slopes *= np.minimum(1, STEEPEST / np.maximum(steep, STEEPEST))
     unknown = np.zeros((*slopes.shape[:3], 1))
     table = np.concatenate([depth_sign * slopes, unknown], axis=-1)[None, None].astype(np.float32)
     height, width = background.shape[:2]
-    return LookupModel(table, low + step / 2, step, (height, width), "mean_over_background", background)
+    model = LookupModel(table, low + step / 2, step, (height, width), "mean_over_background", background)
+    return model, float(steep.max()), _steep_table(steep)
+
+
+def _steep_table(steep: Numbers) -> tuple[Finding, ...]:
+    beyond, steepest = float(np.mean(steep > STEEPEST)), float(steep.max())
+    if not beyond:
+        return ()
+    message = (
+        f"The table states slopes of up to {steepest:.3g} ({np.degrees(np.arctan(steepest)):.0f}°), {100 * beyond:.2g} % of "
+        f"them over {STEEPEST:.2f} ({np.degrees(np.arctan(STEEPEST)):.0f}°), which no gel follows: these are read as "
+        f"{STEEPEST:.2f}. Circles were probably marked too wide, or the ball stated too small, so that depth is too large. "
+        "Measure it: gelform evaluate PRESSES -c CAL.npz."
+    )
+    return (Finding("steep_table", message, steepest),)
 
 
 def _ranges(given: Sequence[float] | None) -> tuple[Numbers, Numbers]:
@@ -172,7 +198,7 @@ def _matlab(path: str | PathLike[str]) -> dict[str, Any]:
     if (
         not (are_cubes and 4 <= shape[0] <= 200 and fields["bins"] == shape[0])
         or not np.isfinite([magnitude, direction]).all()
-        or abs(magnitude).max() >= np.pi / 2
+        or abs(magnitude).max() >= STEEPEST
     ):
         raise DataError(
             f"Expected GradMag (angles under pi/2) and GradDir of shape (bins, bins, bins) in {path}, got {shape}."
@@ -536,7 +562,13 @@ def import_calibration(
     if mm_per_px is not None:
         make = MAKES.get(package) if not view.is_identity else make_of(sensor_name or "")
         check_gel_width(image.shape[:2], mm_per_px, make)
-    model = PACKAGES[package](path, image, **options)
+    model: ColorModel
+    others: dict[str, Any] = {"imported_from": package, **options}
+    doubts: tuple[Finding, ...] = ()
+    if package == "lut":
+        model, others["steepest_slope"], doubts = _lut(path, image, **options)
+    else:
+        model = PACKAGES[package](path, image, **options)
     # As wide as the 3x3 blur of tables, weights 1/4, 1/2, 1/4.
     blur_px = 0.5**0.5 if package == "lut" else 0.0
     change = ChangeSettings("subtract", 0.0, blur_px)
@@ -557,7 +589,7 @@ def import_calibration(
         untouched_change=UNTOUCHED_CHANGE,
         held_out={},
         training_digests=(),
-        settings=CalibrationSettings(others={"imported_from": package, **options}),
+        settings=CalibrationSettings(others=others, findings=[astuple(one) for one in doubts] or None),
         library_version=__version__,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )

@@ -1,11 +1,13 @@
 """The report in numbers: those of the run with their intervals, statistics of pixels of known truth, and the verdict."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from gelform.calibration.coverage import NEEDED
 from gelform.calibration.inputs import MOST_SIGMAS, REMEDY, BallReading
 from gelform.calibration.report.content import (
     FORMAT,
@@ -152,6 +154,22 @@ def test_a_right_sigma_holds_68_percent_everywhere(sample):
     assert all(0.65 < one < 0.72 for one in share["by_place"])
     halved = fraction_within_sigma(pixels, sigma / 2, SHAPE, (2, 2))
     assert halved["all"] == pytest.approx(0.383, abs=0.01)
+    assert share["off"][1] < 3
+    assert halved["off"][0] > 25
+    assert halved["off"][1] == 0
+
+
+def test_a_deviation_that_few_presses_show_by_chance_is_none(sample):
+    """A press whose slopes are all within sigma says nothing about others; presses that agree do."""
+    pixels = np.concatenate([sample(k) for k in range(4)])
+    sigma = np.full_like(pixels["solved"], 0.01)
+    pixels["solved"][pixels["press"] == 3] *= -1
+    below, above = fraction_within_sigma(pixels, sigma, SHAPE, (1, 1))["off"]
+    assert below == 0
+    assert above == 0, "3 of 4 presses"
+    assert fraction_within_sigma(pixels, sigma - 1, SHAPE, (1, 1))["off"] == pytest.approx([68.27, 0])
+    alone = fraction_within_sigma(pixels[pixels["press"] < 2], sigma[pixels["press"] < 2], SHAPE, (1, 1))
+    assert alone["off"] == []
 
 
 CIRCLE = (40.0, 30.0, 25.0)
@@ -197,6 +215,7 @@ def test_errors_stand_in_the_place_that_has_them(sample):
     assert errors_where(left, SHAPE, 1.0, (1, 2))["contact"]["by_place"]["normal_deg"][1] is None
 
 
+COVERED_LABEL = "places and slope directions that presses show"
 GOOD = {limit.name: limit.good for limit in LIMITS}
 
 
@@ -213,7 +232,7 @@ def test_levels_change_at_their_limits(limit):
     if np.isfinite(limit.fair):
         assert level_of(limit, limit.fair) == ("fair" if limit.fair != limit.good else "good")
         assert level_of(limit, limit.fair + 0.1 * worse) == "poor"
-    assert level_of(limit, None) == level_of(limit, float("nan")) == "fair"
+    assert level_of(limit, None) == level_of(limit, float("nan")) == "not known"
 
 
 def test_the_report_contradicts_a_diameter_where_the_notes_do():
@@ -243,8 +262,9 @@ def test_all_good_is_to_be_used_and_what_is_not_known_is_said():
     assert judged["headline"] == "Good: held-out normals are off by 3.0°, the ball radius by 3.0 %"
     assert judged["next"].startswith("Use it.")
     assert judged["because"] is None
-    assert judged["counts"] == {"good": len(LIMITS), "fair": 0, "poor": 0}
-    assert verdict(scale_percent=None)["because"] == "uncertainty of the scale: not known, fair"
+    assert judged["counts"] == {"good": len(LIMITS), "fair": 0, "poor": 0, "not known": 0}
+    assert verdict(scale_percent=None)["because"] == "uncertainty of the scale: not known"
+    assert verdict(scale_percent=None)["counts"]["fair"] == 0
     assert verdict(radius_percent=9.0)["level"] == "poor"
     assert verdict(normal_free_deg=4.0)["level"] == "fair"
 
@@ -287,25 +307,55 @@ def test_the_error_of_few_presses_is_said_with_its_own():
 @pytest.mark.parametrize(
     ("figures", "because"),
     [
-        # poor before fair
-        ({"presses_used": 20.0, "normal_free_deg": 9.0}, "angle error of the normals, held out: 9°, poor"),
-        ({"presses_used": 6.0, "normal_free_deg": 9.0}, "presses used: 6, poor"),  # 5 times, not 3
-        ({"presses_used": 9.0, "radius_percent": 30.0}, "error of the ball's radius, held out: 30 %, poor"),
-        ({"presses_used": 10.0, "cap_free_um": 40.0}, "presses used: 10, fair"),  # alike: the cause
-        ({"presses_used": 29.0, "off_contact_um": 79.0}, "depth error off contact, held out: 79 µm, fair"),
-        # what is not known is no large fault
-        ({"scale_percent": None, "ball_sizes": 1.0}, "ball sizes: 1, fair"),
+        # poor before fair, causes before effects
+        ({"ball_sizes": 1.0, "normal_free_deg": 9.0}, "angle error of the normals, held out: 9°, poor"),
+        ({"presses_used": 6.0, "normal_free_deg": 90.0}, "presses used: 6, poor"),
+        ({"presses_used": 9.0, "radius_percent": 30.0}, "presses used: 9, poor"),
+        ({"presses_used": 10.0, "off_contact_um": 79.0}, "presses used: 10, fair"),
+        # what more presses mend waits for them
+        ({"presses_used": 10.0, "normal_free_deg": 9.0}, "presses used: 10, fair"),
+        ({"covered_percent": 70.0, "cap_free_um": 90.0}, f"{COVERED_LABEL}: 70 %, fair"),
         (
-            {"covered_percent": 0.0, "normal_free_deg": 90.0},
-            "places and slope directions that presses show: 0 %, poor",
+            {"presses_used": 10.0, "covered_percent": 7.0, "narrow_percent": 50.0},
+            f"{COVERED_LABEL}: 7 %, poor",
         ),
+        ({"presses_used": 10.0, "off_contact_um": 90.0}, "depth error off contact, held out: 90 µm, poor"),
+        # what is not known is no fault
+        ({"rejected_percent": None, "ball_sizes": 1.0}, "ball sizes: 1, fair"),
+        ({"wide_percent": 32.0, "ball_sizes": 1.0}, "ball sizes: 1, fair"),
     ],
 )
-def test_the_largest_fault_comes_next(figures, because):
+def test_the_cause_of_the_largest_fault_comes_next(figures, because):
     judged = verdict(**figures)
     assert judged["because"] == because
     named = because.split(":")[0]
-    assert judged["next"] == next(limit.action for limit in LIMITS if limit.label == named)
+    action = next(limit.action for limit in LIMITS if limit.label == named)
+    assert judged["next"] == action.format(press="Press again", steep="")
+
+
+def test_an_uncertainty_that_is_too_large_is_fair_and_no_step():
+    judged = verdict(wide_percent=32.0)
+    assert judged["headline"].startswith("Good: ")
+    assert judged["counts"]["fair"] == 1
+    assert judged["next"].startswith("Use it.")
+    assert verdict(narrow_percent=32.0)["level"] == "fair"
+
+
+def test_advice_has_a_number_of_presses_and_their_depth(content, calibration):
+    """As many as are advised, or as cover the gel; as deep as the contacts of the ball say."""
+    number, depth = re.search(
+        r"(\d+) more times?, about (\S+) mm deep", action_of(content, "presses_used")
+    ).groups()
+    rows = [row for row in content["presses"] if row["accepted"]]
+    assert int(number) >= NEEDED.advised.presses - len(rows)
+    radii = np.array([row["contact_radius_px"] for row in rows]) * calibration.known_mm_per_px
+    balls = np.array([row["ball_diameter_mm"] for row in rows]) / 2
+    assert float(depth) == pytest.approx(np.median(balls - np.sqrt(balls**2 - radii**2)), rel=0.5)
+    assert not any("{" in check["action"] for check in content["checks"])
+
+
+def action_of(content, name):
+    return next(check["action"] for check in content["checks"] if check["name"] == name)
 
 
 def test_a_refuted_diameter_makes_all_poor_and_an_unchecked_one_is_said():

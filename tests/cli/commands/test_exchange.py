@@ -27,8 +27,9 @@ def importing(network, press_folder):
 
 
 def test_what_was_imported_reconstructs_in_pixels(works, run_json, imported, press_folder, tmp_path):
+    """A network of random numbers gives slopes that are no surface's: it is said, and the frame is doubtful."""
     image = press_folder / "images" / "0000.png"
-    how = ("-c", imported, "-o", tmp_path / "out", "--format", "npz,png")
+    how = ("-c", imported, "-o", tmp_path / "out", "--format", "npz,png", "--accept-doubtful")
     (row,) = run_json("reconstruct", image, *how)["results"]
     assert row["peak_px"] > 0
     assert "peak_mm" not in row
@@ -37,7 +38,8 @@ def test_what_was_imported_reconstructs_in_pixels(works, run_json, imported, pre
         assert "depth_mm" not in file.files
     assert run_json("info", tmp_path / "out" / f"{image.stem}.npz")["depth_px"][1] > 0
     assert run_json("info", imported)["mm_per_px"] is None
-    out, err = works("reconstruct", image, "-c", imported, "-o", tmp_path / "again")
+    out, err = works("reconstruct", image, "-c", imported, "-o", tmp_path / "again", "--accept-doubtful")
+    assert "The slopes contradict each other" in err
     assert "peak (px)" in out
     assert str(row["contact_px"]) in out.split()
     assert "depth_px, not depth_mm" in err

@@ -11,7 +11,7 @@ import numpy as np
 
 from gelform.arrays import Array, Numbers
 
-SHARE_RIGHT, SHARE_FAIR = (60, 76), (45, 90)  # % within one sigma; 68 is right
+SHARE_RIGHT, SHARE_FAIR = (60, 76), 45  # % within one sigma; 68 is right, and above it a sigma is only wide
 Ticks = Sequence[float] | Array
 
 
@@ -99,7 +99,7 @@ def bar_of(percent: float) -> str:
     percent = float(f"{percent:.0f}")
     if SHARE_RIGHT[0] <= percent <= SHARE_RIGHT[1]:
         return "bar"
-    return "bar off" if SHARE_FAIR[0] <= percent <= SHARE_FAIR[1] else "bar far"
+    return "bar off" if percent >= SHARE_FAIR else "bar far"
 
 
 class Cell(NamedTuple):

@@ -19,18 +19,21 @@ from gelform.calibration.coverage import (
     direction_of,
     press_coverage,
     press_next,
+    presses_to_cover,
     square_tiles,
     tile_of,
 )
 from gelform.calibration.held_out import at_pixels, by_press
 from gelform.calibration.inputs import MOST_SIGMAS, REMEDY
 from gelform.calibration.presses.press_set import Presses
+from gelform.calibration.report.charts import SHARE_FAIR, SHARE_RIGHT
 from gelform.calibration.report.record import CalibrationReport, PressReport
 from gelform.calibration_file import Calibration
+from gelform.errors import counted
 from gelform.reconstruct import Reconstructor
 from gelform.result.metrics import angle_deg
 from gelform.sensors.profiles import scale_off_make
-from gelform.slopes.sigma import MIN_IN_BIN
+from gelform.slopes.sigma import MIN_IN_BIN, ONE_SIGMA
 
 SLOPE_EDGES = tuple(round(0.1 * k, 1) for k in range(13))
 BOOTSTRAPS = 1000  # draws of presses, for intervals
@@ -118,18 +121,37 @@ def fraction_within_sigma(
 ) -> dict[str, Any]:
     """Fraction of held-out slopes within one stated standard deviation, by bins of slope and of place; 0.68 is right.
 
-    `sigma` (N, 2) is that of each pixel's slope.
+    `sigma` (N, 2) is that of each pixel's slope. `off` is how far the lowest and the highest fraction lie below and above
+    0.68, less the standard error over presses of each; empty without a bin of enough presses.
     """
     inside = (np.abs(pixels["solved"] - pixels["true"]) <= sigma).mean(axis=1)
     slope = np.linalg.norm(pixels["solved"], axis=1)
-    _, by_place = _tile_means(pixels, shape, grid, inside)
+    count, by_place = _tile_means(pixels, shape, grid, inside)
+    tile = tile_of(pixels["x_px"], pixels["y_px"], shape, grid)
+    groups = [tile == k for k in np.flatnonzero(np.array(count) >= MIN_IN_BIN)]
+    off = [
+        _off_right(inside[one], pixels["press"][one]) for one in (*(m for _, m in _bins_of(slope)), *groups)
+    ]
+    known = [one for one in off if one is not None]
     return {
         "all": float(inside.mean()),
+        "off": [max(one[side] for one in known) for side in (0, 1)] if known else [],
         "by_slope": [{**limits, "share": float(inside[member].mean())} for limits, member in _bins_of(slope)],
         "rows": grid[0],
         "columns": grid[1],
         "by_place": by_place,
     }
+
+
+def _off_right(inside: Numbers, press: Array) -> tuple[float, float] | None:
+    """How far a fraction is below and above 0.68, beyond its standard error over presses; None of few presses."""
+    _, index = np.unique(press, return_inverse=True)
+    fraction, sums = inside.mean(), np.bincount(index, inside - inside.mean())
+    if not NEEDED.interval.met(sums.size):
+        return None
+    error = math.sqrt((sums**2).sum() * sums.size / (sums.size - 1)) / inside.size
+    below, above = (max(0.0, 100 * (side * (ONE_SIGMA - fraction) - error)) for side in (1, -1))
+    return float(below), float(above)
 
 
 def errors_where(
@@ -182,43 +204,52 @@ class Limit:
     action: str  # the advice if it is not good
 
 
+# Causes come before their effects. {press} says how often and how deep to press, {steep} how deep for a slope.
 LIMITS = (
     Limit("rejected_percent", "presses rejected", "%", 10, 20, False,
           "Look at the rejected presses. Each reason says what to press or to write down differently."),
-    Limit("presses_used", "presses used", "", NEEDED.advised.presses, NEEDED.fair.presses, True,
-          f"Press the ball at more places: {NEEDED.advised.presses} presses or more. Begin at the places marked 1, 2, 3."),
-    Limit("normal_free_deg", "angle error of the normals, held out", "°", 3, 5, False,
-          "Press at the places marked 1, 2, 3. Check that exposure and light did not change. Look for cast shadows."),
     Limit("ball_sigmas", "stated ball diameter against the measured one", "σ", MOST_SIGMAS, MOST_SIGMAS, False,
           REMEDY + " Presses of another unit or of another ball contradict them."),
     Limit("scale_off_percent", "mm_per_px against the make's", "%", 10, math.inf, False,
           "Check mm_per_px. Images of this make have another value, unless you crop them differently."),
-    Limit("radius_percent", "error of the ball's radius, held out", "%", 3, 6, False,
-          "Check the ball's diameter and the mm per pixel that you gave. Add presses of a second ball of another size."),
+    Limit("presses_used", "presses used", "", NEEDED.advised.presses, NEEDED.fair.presses, True,
+          "{press}, first at the places marked 1, 2, 3."),
     Limit("covered_percent", "places and slope directions that presses show", "%", 80, 60, True,
-          "Press at the places marked 1, 2, 3. The presses do not show all slope directions there yet."),
-    Limit("gain_percent", "largest deviation of the slope gain from 1", "%", 5, 12, False,
-          "Press a little deeper, or add a smaller ball. Too few presses show the slopes whose gain is wrong."),
-    Limit("cap_free_um", "depth error in the contact, held out", "µm", 20, 40, False,
-          "Press at the places marked 1, 2, 3. Look for a pattern in the depth pictures: dust, a shadow, a scratch."),
+          "{press}, first at the places marked 1, 2, 3. The presses do not show all slope directions there yet."),
     Limit("off_contact_um", "depth error off contact, held out", "µm", 30, 80, False,
           "Take a new background image in the same minute as the presses, with exposure and white balance fixed."),
-    Limit("sigma_percent", "largest deviation of the uncertainty from 68 %", "%", 10, 23, False,
-          "Press where the share is far from 68 %, first at places 1, 2, 3. Until then, the uncertainty is rough."),
+    Limit("gain_percent", "largest deviation of the slope gain from 1", "%", 5, 12, False,
+          "{steep}. Too few presses show the slopes whose gain is wrong."),
+    Limit("normal_free_deg", "angle error of the normals, held out", "°", 3, 5, False,
+          "Check that exposure and light did not change. Look for cast shadows. {press} at the places marked 1, 2, 3."),
+    Limit("radius_percent", "error of the ball's radius, held out", "%", 3, 6, False,
+          "Check the ball's diameter and the mm per pixel that you gave. Add presses of a second ball of another size."),
+    Limit("cap_free_um", "depth error in the contact, held out", "µm", 20, 40, False,
+          "Look for a pattern in the depth pictures: dust, a shadow, a scratch. {press} at the places marked 1, 2, 3."),
+    Limit("narrow_percent", "uncertainty too small, share within it below 68 %", "points",
+          68 - SHARE_RIGHT[0], 68 - SHARE_FAIR, False,
+          "{press} at the places marked 1, 2, 3. Until then, errors are larger than stated where the share is low."),
     Limit("ball_sizes", "ball sizes", "", 2, 1, True,
           "Add presses of a second ball of another size. One size alone cannot show a wrong slope scale."),
+    Limit("wide_percent", "uncertainty too large, share within it above 68 %", "points",
+          SHARE_RIGHT[1] - 68, math.inf, False,
+          "Use it. Some slopes are better than their stated uncertainty."),
     Limit("scale_percent", "uncertainty of the scale", "%", 1, 3, False,
           "Measure mm_per_px on an object of known size. Write it into sensor.toml, together with mm_per_px_sigma."),
 )  # fmt: skip
 HEADLINE = ("normal_free_deg", "radius_percent")
 # If one is poor, so is the headline, because the other figures rely on the labels.
 REFUTING = ("ball_sigmas",)
+# Effects of the number and the places of presses, where a light is as it was.
+PRESSED = ("presses_used", "covered_percent")
+MENDED_BY_PRESSES = ("gain_percent", "normal_free_deg", "cap_free_um", "narrow_percent")
+UNKNOWN = "not known"  # in the place of a level
 
 
 def level_of(limit: Limit, value: float | None) -> str:
-    """good, fair or poor, of the figure as it is printed; an unknown one is fair."""
+    """good, fair or poor, of the figure as it is printed, or that it is not known."""
     if value is None or not math.isfinite(value):
-        return "fair"
+        return UNKNOWN
     value, sign = float(f"{value:.3g}"), -1 if limit.rising else 1
     if sign * value <= sign * limit.good:
         return "good"
@@ -226,15 +257,20 @@ def level_of(limit: Limit, value: float | None) -> str:
 
 
 def checks_of(
-    figures: Mapping[str, float | None], standard_errors: Mapping[str, float] | None = None
+    figures: Mapping[str, float | None],
+    standard_errors: Mapping[str, float] | None = None,
+    advice: Mapping[str, str] | None = None,
 ) -> list[dict[str, Any]]:
     """Every check with its figure (None if unknown), its level and its limits, causes before their effects.
 
-    A check that the sensor does not need, and that has no figure, is left out. Some figures have a standard error.
+    A check that the sensor does not need, and that has no figure, is left out. Some figures have a standard error. `advice`
+    has the words for {press} and {steep} in the actions.
     """
+    words = {"press": "Press again", "steep": "Press a little deeper", **(advice or {})}
     return [
         {
             **asdict(limit),
+            "action": limit.action.format(**words),
             "value": figures[limit.name],
             "level": level_of(limit, figures[limit.name]),
             "standard_error": (standard_errors or {}).get(limit.name),
@@ -248,9 +284,9 @@ def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = Non
     """The headline: the worse of normals and radius in words, and one sentence about the next step.
 
     Both are errors at the places that were pressed. So over any other poor check the headline is fair at best, and names it.
-    The next step belongs to the largest fault: a poor check comes before a fair one, and then the check whose figure is the
-    most times its limit. Among equal ones the first counts, because causes come before their effects. If all is good, the
-    sentence says how to keep it so.
+    The next step belongs to the first check that is poor, then fair, then not known; causes come before their effects.
+    What more presses mend is left to a check of their number and places that is not good. An uncertainty that is too large
+    calls for nothing. If all is good, the sentence says how to keep it so.
     """
     named = {check["name"]: check for check in checks}
     level = max((named[name]["level"] for name in HEADLINE), key=LEVELS.index)
@@ -260,17 +296,25 @@ def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = Non
         level = "poor"
     elif poor and level == "good":
         level = "fair"
-    first_of = refuted or [check for check in checks if check["level"] != "good"]
-    first = max(first_of, key=_severity, default=None)
+    first_of = refuted or [one for one in checks if one["level"] != "good" and one["name"] != "wide_percent"]
+    worst = ("poor", "fair", UNKNOWN)
+    first = min(first_of, key=lambda check: worst.index(check["level"]), default=None)
+    if first and first["name"] in MENDED_BY_PRESSES:
+        causes = [named[name] for name in PRESSED if named[name]["level"] != "good"]
+        first = min([*causes, first], key=lambda check: (check is first, worst.index(check["level"])))
     done = "Use it. Calibrate again after a new gel, another light or another camera setting."
     return {
         "level": level,
         "headline": _headline(level, named, poor, bool(refuted)),
         "next": first["action"] if first else done,
-        "because": f"{first['label']}: {shown(first)}, {first['level']}" if first else None,
-        "counts": {name: sum(check["level"] == name for check in checks) for name in LEVELS},
+        "because": _because(first) if first else None,
+        "counts": {name: sum(check["level"] == name for check in checks) for name in (*LEVELS, UNKNOWN)},
         "learning": learning_sentence,
     }
+
+
+def _because(check: Mapping[str, Any]) -> str:
+    return f"{check['label']}: {shown(check)}" + (f", {check['level']}" if check["level"] != UNKNOWN else "")
 
 
 def _headline(
@@ -301,19 +345,10 @@ def _headline(
     return ". ".join(said)
 
 
-def _severity(check: Mapping[str, Any]) -> tuple[int, float]:
-    """The severity of a check: its level, then its figure over the limit of good, or the inverse if `rising`."""
-    value, limit = check["value"], check["good"]
-    if value is None or not math.isfinite(value):
-        return LEVELS.index(check["level"]), 1.0
-    part, whole = (value, limit) if check["rising"] else (limit, value)
-    return LEVELS.index(check["level"]), whole / part if part > 0 else math.inf
-
-
-def shown(check: dict[str, Any]) -> str:
+def shown(check: Mapping[str, Any]) -> str:
     """A check's figure with its unit."""
     if check["value"] is None:
-        return "not known"
+        return UNKNOWN
     return f"{check['value']:.3g} {check['unit']}".replace(" °", "°").strip()
 
 
@@ -403,7 +438,7 @@ def report_content(
         "learning": learning,
     }
     standard_errors = {name: one["standard_error"] for name, one in content["figures"].items()}
-    checks = checks_of(_checked_figures(content), standard_errors)
+    checks = checks_of(_checked_figures(content), standard_errors, _advice(content, coverage))
     return {**content, "checks": checks, "verdict": verdict_of(checks, (learning or {}).get("sentence"))}
 
 
@@ -467,17 +502,39 @@ def report_coverage(report: CalibrationReport, shape: tuple[int, int], mm_per_px
     return press_coverage(circles, [r.ball_diameter_mm / 2 / mm_per_px for r in used], shape)
 
 
+def _judged_gains(content: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The bins of the gain curve that count; few pixels of a few presses are too uncertain."""
+    return [
+        b
+        for b in content["gain"]["contact"]
+        if NEEDED.judged_gain.met(b["presses"]) and b["pixels"] >= 500 and b["slope_to"] <= 0.8
+    ]
+
+
+def _advice(content: Mapping[str, Any], coverage: Coverage) -> dict[str, str]:
+    """How often and how deep to press: as often as covers the gel, or the number advised lacks; as deep as most presses."""
+    used = [row for row in content["presses"] if row["accepted"]]
+    covered = next(limit for limit in LIMITS if limit.name == "covered_percent")
+    missing = presses_to_cover(coverage, covered.good / 100)
+    more = max(NEEDED.advised.presses - len(used), missing, len(content["coverage"]["next"]))
+    scale = content["calibration"]["mm_per_px"]
+    balls = np.array([row["ball_diameter_mm"] / 2 for row in used])
+    radii = np.minimum(scale * np.array([row["contact_radius_px"] for row in used]), balls)
+    depth = float(np.median(balls - np.sqrt(balls**2 - radii**2)))
+    press = f"Press the ball {counted(more, 'more time')}, about {depth:.1g} mm deep"
+    worst = max(_judged_gains(content), key=lambda b: abs(b["gain"] - 1), default=None)
+    # The contact's edge has the steepest slope.
+    deep = float(np.median(balls)) * (1 - 1 / math.hypot(1, worst["slope_to"])) if worst else 0.0
+    deeper = f"Press at least {deep:.2g} mm deep, or add a smaller ball"
+    return {"press": press, "steep": deeper if deep > depth else f"{press}, at the places marked 1, 2, 3"}
+
+
 def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
     """The figure of each check, in its unit; None if unknown."""
     rows, facts = content["presses"], content["calibration"]
     used, different = [row for row in rows if row["accepted"]], [row for row in rows if not row["repeats"]]
-    gains = [  # few pixels of a few presses are too uncertain
-        abs(b["gain"] - 1)
-        for b in content["gain"]["contact"]
-        if NEEDED.judged_gain.met(b["presses"]) and b["pixels"] >= 500 and b["slope_to"] <= 0.8
-    ]
-    fractions = [b["share"] for b in content["sigma"]["by_slope"]]
-    fractions += [one for one in content["sigma"]["by_place"] if one is not None]
+    gains = [abs(b["gain"] - 1) for b in _judged_gains(content)]
+    narrow, wide = content["sigma"]["off"] or (None, None)
     sigma = facts["mm_per_px_sigma"]
     off = scale_off_make(facts["make"], tuple(facts["image_shape"]), facts["mm_per_px"])
     figures = {name: one["value"] for name, one in content["figures"].items()}
@@ -488,7 +545,8 @@ def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
         "ball_sizes": float(len({row["ball_diameter_mm"] for row in used})),
         "covered_percent": 100 * content["coverage"]["covered"],
         "gain_percent": 100 * max(gains) if gains else None,
-        "sigma_percent": 100 * max(abs(one - 0.68) for one in fractions) if fractions else None,
+        "narrow_percent": narrow,
+        "wide_percent": wide,
         **({} if off is None else {"scale_off_percent": 100 * off}),
         "ball_sigmas": max((one["sigmas"] for one in content["balls"]), default=None),
         "scale_percent": None if sigma is None else 100 * sigma / facts["mm_per_px"],

@@ -82,6 +82,10 @@ def import_(
             f"note: {file} does not state its range, so {low:g} to {high:g} gray levels are assumed. With another "
             "one, every depth is wrong. Look into the program that wrote it (zeropoint, lookscale); give --range LOW HIGH."
         )
+    if steepest := calibration.settings.others.get("steepest_slope"):
+        shown.say(f"The table's steepest slope is {steepest:.3g}.")
+    for finding in calibration.findings:
+        say(f"warning: {finding.message}")
     if mm_per_px is None and calibration.mm_per_px is not None:
         shown.say(f"{file} states {calibration.mm_per_px:g} mm per pixel.")
     if calibration.mm_per_px is None:
