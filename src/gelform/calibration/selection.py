@@ -7,10 +7,8 @@ and 11 presses are smaller than those of a polynomial in 14 of 16 draws, with 5 
 For each fold of held-out presses the circles of the other presses are refined from scratch. So neither a pixel of a scored
 press nor a circle that it helped to place is ever in the model that scores it.
 
-The score is the mean logarithm of each press's slope error inside the contact edge. One press with a wrong circle can
-dominate a mean of errors, but moves a mean of logarithms only by a few per cent.
-
-Folds of under 12 presses cannot choose between a start and none; there both fits are averaged.
+The score is the mean logarithm of each press's slope error inside the contact edge, which one wrong circle moves little.
+Folds of under 12 presses choose nothing: the stiffest fit is taken, and with a start its average with the started one.
 
 Reporting the scores of the selection would flatter them. So each fold's presses are reported with the candidate that the
 other folds' presses select.
@@ -462,18 +460,21 @@ def fit(
 ) -> Fitted:
     """Select the stiffness of the color model and its forward response on held-out presses, and fit both on all.
 
-    A fit from another unit's model is of its kind. Under 12 presses do not choose between such a fit and one without it, and
-    both are averaged. From 12 on, they choose if the other unit's was just offered.
+    A fit from another unit's model is of its kind. Under 12 presses choose nothing: the stiffest fit is taken, and averaged
+    with the one from another unit's model. From 12 on, they choose if the other unit's was just offered.
     `compare` tries all models and does not change the selection.
     """
     accepted, start = len(located.refined.accepted), located.start
     held_out = HeldOutPresses(located, folds)
     begun = [] if start is None else [candidates_from(start, accepted)]
-    if start is not None and not NEEDED.edge.met(accepted):
+    alone = [candidates_for(color_model, accepted)] if start is None or start.offered else []
+    few = not NEEDED.edge.met(accepted)
+    if few and start is not None:
         selection = average(begun[0][0], candidates_for(color_model, accepted)[0], held_out)
+    elif few and color_model in (AUTO, DEFAULT_MODEL):
+        chosen = alone[0][0].with_steps(accepted)[0]
+        selection = Selection(chosen, (chosen,) * len(folds), tuple(held_out.try_candidates([chosen])))
     else:
-        choice = start is None or start.offered
-        alone = [candidates_for(color_model, accepted)] if choice else []
         selection = select([*begun, *alone], held_out, progress=progress)
     notes: tuple[str, ...] = ()
     if compare:

@@ -430,7 +430,9 @@ def _noise(pictures: Map, circles: Sequence[Circle | None]) -> Map:
     for one, circle in zip(size, circles):
         assert circle is not None
         one[distances_px(one.shape, *circle[:2]) < 1.2 * circle[2]] = np.nan
-    ordered = np.sort(size, axis=0)  # NaN last, so that np.nanquantile, which takes hundreds of times as long, is a look-up
+    ordered = np.sort(
+        size, axis=0
+    )  # NaN last, so that np.nanquantile, which takes hundreds of times as long, is a look-up
     last = np.isfinite(ordered).sum(axis=0, keepdims=True) - 1
     at = np.maximum(0.7 * last, 0)
     low, high = (np.take_along_axis(ordered, f(at).astype(int), axis=0) for f in (np.floor, np.ceil))
