@@ -65,7 +65,7 @@ REFINING = ((0, (1,)), (6, (2, 1)), (9, (3, 2, 0)))
 
 DIRECTIONS = 8  # directions of slopes, 45 degrees each
 COARSE = (3, 4)  # tiles (rows, columns) in notes
-NAMED_PLACES = 5  # places to press at, in a note
+NAMED = 5  # places, images and presses that a note lists
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def shown_by(circle: Circle, shape: tuple[int, int], tiles: tuple[int, int]) -> 
 
 
 def press_next(
-    coverage: Coverage, count: int = NAMED_PLACES, square_error: Numbers | None = None
+    coverage: Coverage, count: int = NAMED, square_error: Numbers | None = None
 ) -> tuple[PressPlace, ...]:
     """The next places to press at, each the one that helps most after those before it.
 
@@ -228,7 +228,7 @@ def coverage_notes(
     advised = (NEEDED.started if started else NEEDED.advised).presses
     missing = advised - len(circles)
     if missing > 0:
-        places = press_next(coverage, min(missing, NAMED_PLACES))
+        places = press_next(coverage, min(missing, NAMED))
         where = _at("first", places) or ", all over the gel"
         return (
             f"Take {counted(missing, 'more press')}{where}. Presses that fit so far: {len(circles)}; "

@@ -33,6 +33,7 @@ from gelform.image.background import PreparedBackground
 from gelform.reconstruct import FrameRecord, Reconstructor
 from gelform.result import Reconstruction
 from gelform.result.metrics import (
+    OFF_CONTACT,
     PressErrors,
     ball_center,
     ball_gradients,
@@ -364,7 +365,7 @@ def _far_depth(record: FrameRecord, circle_px: Circle) -> Map:
     """What `depth_factor` takes of each seventh pixel at rest beyond 2.5 radii of a contact; (4, 0) for under 200 pixels."""
     errors = record.depth_errors
     assert errors is not None
-    far = record.known & (distances_px(record.depth_mm.shape, *circle_px[:2]) > 2.5 * circle_px[2])
+    far = record.known & (distances_px(record.depth_mm.shape, *circle_px[:2]) > OFF_CONTACT * circle_px[2])
     if np.count_nonzero(far) < 200:
         return np.empty((4, 0), dtype=np.float32)
     unit = errors.spread / record.fixed.slope_sigma.depth_factor**2
