@@ -1,7 +1,7 @@
 """What each chosen number does: multiplied and divided by 1.2, one at a time, on fixed real frames and presses.
 
-    python benchmarks/constants.py image depth slopes motion calibration   # writes docs/numbers.md
-    python benchmarks/constants.py image --inline -o inline.md             # numbers without a name, too
+    python benchmarks/constants.py image depth     # prints a row of each: place, name, value, x 1.2, / 1.2, origin
+    python benchmarks/constants.py image --inline  # numbers without a name, too
 
 Each trial is a process of its own, which imports gelform with one number of its source changed; so what follows from the
 number changes with it. Figures of frames: greatest depth, pixels of contact, findings. Figures of presses: presses used,
@@ -27,7 +27,6 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import cv2
 import numpy as np
 import scipy.fft
 import scipy.linalg
@@ -37,7 +36,6 @@ import scipy.sparse.linalg  # noqa: F401  # each child would load these again
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "gelform"
-PAGE = ROOT / "docs" / "numbers.md"
 DATA = Path(os.environ.get("GELFORM_DATA", ROOT.parent / "shared" / "data"))
 ROOMS = ("image", "slopes", "depth", "motion", "calibration")
 SETS = ("mini-ball", "digit-ball", "gelslim-dots", "mini-d", "homemade-even/a")
@@ -73,7 +71,9 @@ def numbers_of(path: Path, inline: bool = False) -> Iterator[Number]:
     """The named constants of a file, and with `inline` its other numbers."""
     source = path.read_text(encoding="utf-8")
     tree, lines, relative = ast.parse(source), source.splitlines(), str(path.relative_to(PACKAGE))
-    skipped = {id(sub) for node in ast.walk(tree) if isinstance(node, ast.Subscript) for sub in ast.walk(node.slice)}
+    skipped = {
+        id(sub) for node in ast.walk(tree) if isinstance(node, ast.Subscript) for sub in ast.walk(node.slice)
+    }
     for node in tree.body:
         target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
         named = isinstance(target, ast.Name) and target.id.lstrip("_").isupper() and len(target.id) > 1
@@ -90,7 +90,13 @@ def numbers_of(path: Path, inline: bool = False) -> Iterator[Number]:
             yield Number(relative, target.id, tuple((s.lineno, s.col_offset) for s in found), value, says)
         elif inline:
             for sub in found:
-                yield Number(relative, "", ((sub.lineno, sub.col_offset),), str(sub.value), lines[sub.lineno - 1].strip())
+                yield Number(
+                    relative,
+                    "",
+                    ((sub.lineno, sub.col_offset),),
+                    str(sub.value),
+                    lines[sub.lineno - 1].strip(),
+                )
 
 
 class Changed(importlib.abc.MetaPathFinder):
@@ -163,15 +169,20 @@ def of_frames(name: str, calibration: Any) -> dict[str, Any]:
     return figures
 
 
-def of_motion(name: str, calibration: Any) -> dict[str, Any]:
-    """The motion between two frames of a set."""
+def of_motion(calibration: Any) -> dict[str, Any]:
+    """Poses between frames of a clip, in which an object begins in contact: the first frame is its background."""
     import gelform
 
-    reconstruct, images = gelform.Reconstructor(calibration), [p.image for p in pressed(name).presses[1:4]]
-    tracker, figures = gelform.MotionTracker(reconstruct.calibration), {}
-    for k, image in enumerate(images):
-        motion = tracker(reconstruct(image))
-        figures |= {f"{key} {k}": value for key, value in vars(motion).items() if isinstance(value, (int, float))}
+    video = gelform.Video(DATA / "slip" / "clips" / "avocado_real_1.avi")
+    images = [frame.image for frame in video.frames()][::8]
+    reconstruct, figures = gelform.Reconstructor(calibration).with_background(images[-1]), {}
+    results = [reconstruct(image) for image in images[:FRAMES]]
+    for k, (one, other) in enumerate(zip(results, results[1:])):
+        motion = gelform.motion_between(one, other)
+        figures |= {f"state {k}": motion.state, f"shared {k}": motion.shared}
+        if motion.pose is not None:
+            figures |= {f"shift {k}": float(np.linalg.norm(motion.pose[:3, 3]))}
+            figures |= {f"sigma {k}": float(np.sqrt(np.trace(motion.covariance[:3, :3])))}
     return figures
 
 
@@ -182,9 +193,12 @@ def figures_of(room: str, calibrations: dict[str, bytes]) -> dict[str, Any]:
         try:
             if room == "calibration":
                 figures = of_presses(name)
+            elif room != "motion":
+                figures = of_frames(name, pickle.loads(calibrations[name]))
+            elif name == "mini-ball":  # the clips are of a Mini
+                figures = of_motion(pickle.loads(calibrations[name]))
             else:
-                of = of_motion if room == "motion" else of_frames
-                figures = of(name, pickle.loads(calibrations[name]))
+                continue
         except Exception as problem:  # a trial may make the work impossible, which is its figure
             figures = {"error": f"{type(problem).__name__}: {problem}"[:80]}
         found |= {f"{name} {key}": value for key, value in figures.items()}
@@ -200,7 +214,9 @@ def _child(number: Number | None, factor: float, work: Any, given: tuple[Any, ..
 def in_child(work: Any, *given: Any, number: Number | None = None, factor: float = 1.0) -> Any:
     """What a function gives in a fresh process, which imports gelform itself."""
     with tempfile.NamedTemporaryFile() as file:
-        child = multiprocessing.get_context("fork").Process(target=_child, args=(number, factor, work, given, file.name))
+        child = multiprocessing.get_context("fork").Process(
+            target=_child, args=(number, factor, work, given, file.name)
+        )
         child.start()
         child.join()
         content = Path(file.name).read_bytes()
@@ -217,7 +233,11 @@ def calibrations_of(names: tuple[str, ...]) -> dict[str, bytes]:
 def change(before: dict[str, Any], after: dict[str, Any]) -> str:
     """What changed, in words: the largest of each kind of figure."""
     changes: dict[str, float] = {}
-    said = [f"{key.split()[0]}: {value}" for key, value in after.items() if key.endswith("error") and before.get(key) != value]
+    said = [
+        f"{key.split()[0]}: {value}"
+        for key, value in after.items()
+        if key.endswith("error") and before.get(key) != value
+    ]
     for key, old in before.items():
         new, kind = after.get(key), key.split()[1]
         if isinstance(old, str) and new is not None and new != old:
@@ -230,19 +250,20 @@ def change(before: dict[str, Any], after: dict[str, Any]) -> str:
         said.append(
             f"{kind} {size:+.2f}"
             if kind in ("used", "degrees", "radius")
-            else f"{size:.0f} {kind}" if kind == "findings" else f"{kind} {100 * size:+.1f} %"
+            else f"{size:.0f} {kind}"
+            if kind == "findings"
+            else f"{kind} {100 * size:+.1f} %"
         )
     return ", ".join(said) or "nothing"
 
 
 def main() -> None:
-    """Run the rooms that were asked for and write their rows."""
+    """Run the rooms that were asked for and print their rows."""
     from report import command_line, parts_asked
 
     command = command_line(__doc__)
     command.add_argument("--inline", action="store_true", help="numbers without a name, too")
     command.add_argument("--only", default="", help="those whose path or name matches")
-    command.add_argument("-o", "--output", type=Path, default=PAGE)
     command.add_argument("--cache", type=Path, help="keep the calibrations there")
     asked = parts_asked(command, ROOMS)
     if asked.cache and asked.cache.is_file():
@@ -263,7 +284,10 @@ def main() -> None:
                     change(before, in_child(figures_of, room, calibrations, number=number, factor=factor))
                     for factor in (FACTOR, 1 / FACTOR)
                 )
-                print(f"| {number.path} | {number.name or number.literals[0]} | {number.value} | {more} | {less} | {number.says}", flush=True)
+                print(
+                    f"| {number.path} | {number.name or number.literals[0]} | {number.value} | {more} | {less} | {number.says}",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

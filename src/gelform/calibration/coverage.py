@@ -33,6 +33,9 @@ class Need(NamedTuple):
         return presses >= self.presses
 
 
+FEW = Need(5)  # where more add little to a median or to a start
+
+
 class _Needed(NamedTuple):
     """What the presses are needed for, in the order of their numbers; those marked (images) count images."""
 
@@ -40,16 +43,16 @@ class _Needed(NamedTuple):
     places: Need = Need(3)  # a calibration, from presses at different places
     interval: Need = Need(3)  # the interval of a figure; a bin of the gain curve
     spread: Need = Need(3)  # the note that all presses lie in one part of the image
-    median: Need = Need(5)  # the check for a contact in the background (images)
-    guided: Need = Need(5)  # a guided calibration on the live page (images)
-    started: Need = Need(5)  # advised with a start: the starter of a make, or another unit's calibration
+    median: Need = FEW  # the check for a contact in the background (images)
+    guided: Need = FEW  # a guided calibration on the live page (images)
+    started: Need = FEW  # advised with a start: the starter of a make, or another unit's calibration
     whole: Need = Need(6)  # moving circles without the presses that the border cuts
     learning_curve: Need = Need(8)  # a learning curve
     learning_law: Need = Need(10)  # a point of the curve that counts for its fitted law
     judged_gain: Need = Need(10)  # a bin of the gain curve that counts for the verdict
     fair: Need = Need(10)  # the verdict fair
     edge: Need = Need(12)  # measuring the contact edge
-    size: Need = Need(12)  # reading one ball size by the presses of another
+    size: Need = edge  # reading one ball size by the presses of another
     # advised without a start: no advice to add presses, the verdict good, the guide's message that you can fit well (images)
     advised: Need = Need(20)
     settings: Need = Need(30)  # a learning curve of the chosen settings alone

@@ -45,6 +45,7 @@ from gelform.slopes.budget import noise_at_rest
 from gelform.slopes.color_models.forward_response import ForwardResponse, Step
 from gelform.slopes.sigma import AT_REST, HELD_OUT, ONE_SIGMA, TWO_SIGMA, SlopeSigma
 
+LENGTHS = 60  # correlation lengths that are tried
 LAGS = 24  # steps, px at 240 rows; errors in a contact correlate over 3-10
 
 # Pixels of presses, each solved by a model that has not seen its press.
@@ -114,7 +115,7 @@ def correlation_from_products(products: Numbers, step: float) -> tuple[float, fl
     below = np.nonzero(correlation[1:] < 0.05)[0]
     last = max(3, int(below[0]) + 1 if below.size else LAGS)
     lags = step * np.arange(1, last)
-    return _best_length(step * np.geomspace(0.7, LAGS, 60), lags, correlation[1:last])
+    return _best_length(step * np.geomspace(0.7, LAGS, LENGTHS), lags, correlation[1:last])
 
 
 def rest_correlation(products: Numbers, length: float) -> tuple[float, float]:
@@ -125,7 +126,9 @@ def rest_correlation(products: Numbers, length: float) -> tuple[float, float]:
     if products[0] <= 0:
         return 0.0, 0.0
     lags = np.arange(1, len(products))
-    shorts = np.geomspace(0.3, max(length / 2, 0.3), 60)  # px, from what noise and blur cause on
+    shorts = np.geomspace(
+        shortest := 0.3, max(length / 2, shortest), LENGTHS
+    )  # px, from what noise and blur cause on
     far = np.exp(-(lags**2) / (2 * length**2))
     return _best_length(shorts, lags, products[1:] / products[0], far)
 
