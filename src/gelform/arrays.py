@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+MIB = 2**20  # bytes
+
 Array = NDArray[Any]  # of any numbers, before a check or whatever their precision
 Image = NDArray[np.uint8]  # (H, W, 3), RGB
 Map = NDArray[np.float32]  # (H, W) or (H, W, channels), of pixels or of blocks of them

@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from gelform.arrays import Array, Map, Numbers
+from gelform.arrays import MIB, Array, Map, Numbers
 from gelform.depth.force import ForceModel
 from gelform.errors import CalibrationError, Finding
 from gelform.foundations.checks import (
@@ -40,6 +40,8 @@ from gelform.slopes.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorMode
 from gelform.slopes.sigma import SlopeSigma
 
 KIND, FORMAT_VERSION = "gelform calibration", 1
+
+THUMBNAIL_PX = 240  # a picture's width in a notebook
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +150,7 @@ class Calibration:
         """A notebook's view of the calibration: its background image and its figures; nothing is fetched."""
         findings = ((finding.name, finding.message) for finding in self.findings)
         height, width = self.image_shape
-        size = 240, max(1, round(240 * height / width))
+        size = THUMBNAIL_PX, max(1, round(THUMBNAIL_PX * height / width))
         picture = cv2.resize(as_levels(self.background), size, interpolation=cv2.INTER_AREA)
         return shown_in_notebook("background", picture_bytes(picture), (*self._figures().items(), *findings))
 
@@ -307,7 +309,7 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
     CalibrationError
         The file is missing, truncated, altered, not a calibration, or of a newer format: the message says which.
     """
-    version, most = FORMAT_VERSION, 512 * 2**20
+    version, most = FORMAT_VERSION, 512 * MIB
     arrays, meta = read_npz(path, kind=KIND, newest_version=version, max_bytes=most, error=CalibrationError)
     with damaged(path, "a calibration", "Restore a copy or calibrate again.", CalibrationError):
         return calibration_from_contents(arrays, meta)

@@ -33,6 +33,9 @@ class Need(NamedTuple):
         return presses >= self.presses
 
 
+FEW = Need(5)  # where more add little to a median or to a start
+
+
 class _Needed(NamedTuple):
     """What the presses are needed for, in the order of their numbers; those marked (images) count images."""
 
@@ -40,16 +43,16 @@ class _Needed(NamedTuple):
     places: Need = Need(3)  # a calibration, from presses at different places
     interval: Need = Need(3)  # the interval of a figure; a bin of the gain curve
     spread: Need = Need(3)  # the note that all presses lie in one part of the image
-    median: Need = Need(5)  # the check for a contact in the background (images)
-    guided: Need = Need(5)  # a guided calibration on the live page (images)
-    started: Need = Need(5)  # advised with a start: the starter of a make, or another unit's calibration
+    median: Need = FEW  # the check for a contact in the background (images)
+    guided: Need = FEW  # a guided calibration on the live page (images)
+    started: Need = FEW  # advised with a start: the starter of a make, or another unit's calibration
     whole: Need = Need(6)  # moving circles without the presses that the border cuts
     learning_curve: Need = Need(8)  # a learning curve
     learning_law: Need = Need(10)  # a point of the curve that counts for its fitted law
     judged_gain: Need = Need(10)  # a bin of the gain curve that counts for the verdict
     fair: Need = Need(10)  # the verdict fair
     edge: Need = Need(12)  # measuring the contact edge
-    size: Need = Need(12)  # reading one ball size by the presses of another
+    size: Need = edge  # reading one ball size by the presses of another
     # advised without a start: no advice to add presses, the verdict good, the guide's message that you can fit well (images)
     advised: Need = Need(20)
     settings: Need = Need(30)  # a learning curve of the chosen settings alone
@@ -65,7 +68,7 @@ REFINING = ((0, (1,)), (6, (2, 1)), (9, (3, 2, 0)))
 
 DIRECTIONS = 8  # directions of slopes, 45 degrees each
 COARSE = (3, 4)  # tiles (rows, columns) in notes
-NAMED_PLACES = 5  # places to press at, in a note
+NAMED = 5  # places, images and presses that a note lists
 
 
 @dataclass(frozen=True)
@@ -159,7 +162,7 @@ def shown_by(circle: Circle, shape: tuple[int, int], tiles: tuple[int, int]) -> 
 
 
 def press_next(
-    coverage: Coverage, count: int = NAMED_PLACES, square_error: Numbers | None = None
+    coverage: Coverage, count: int = NAMED, square_error: Numbers | None = None
 ) -> tuple[PressPlace, ...]:
     """The next places to press at, each the one that helps most after those before it.
 
@@ -228,7 +231,7 @@ def coverage_notes(
     advised = (NEEDED.started if started else NEEDED.advised).presses
     missing = advised - len(circles)
     if missing > 0:
-        places = press_next(coverage, min(missing, NAMED_PLACES))
+        places = press_next(coverage, min(missing, NAMED))
         where = _at("first", places) or ", all over the gel"
         return (
             f"Take {counted(missing, 'more press')}{where}. Presses that fit so far: {len(circles)}; "

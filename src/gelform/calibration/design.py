@@ -22,6 +22,7 @@ from gelform.simulate.light import irradiance_from_surface, levels_from_irradian
 
 __all__ = ["DesignResult", "VARIATIONS", "Variation", "compare_designs", "design_picture", "light_quality"]
 
+VARIED = 1.5  # factor of what a variation changes
 CELLS = (6, 8)  # rows and columns of the map of depth errors; each cell holds some presses
 
 
@@ -74,12 +75,12 @@ class Variation:
 
 VARIATIONS = (
     Variation("as given"),
-    Variation("lights 1.5 x higher", led_height=1.5),
-    Variation("lights 1.5 x lower", led_height=1 / 1.5),
+    Variation(f"lights {VARIED} x higher", led_height=VARIED),
+    Variation(f"lights {VARIED} x lower", led_height=1 / VARIED),
     Variation("lights half white", whiteness=0.5),
     Variation("no crosstalk", crosstalk=0.0),
     Variation("twice the noise", noise=2.0),
-    Variation("gel relaxes 1.5 x farther", relaxation=1.5),
+    Variation(f"gel relaxes {VARIED} x farther", relaxation=VARIED),
 )
 
 

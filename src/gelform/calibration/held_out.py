@@ -33,6 +33,7 @@ from gelform.image.background import PreparedBackground
 from gelform.reconstruct import FrameRecord, Reconstructor
 from gelform.result import Reconstruction
 from gelform.result.metrics import (
+    OFF_CONTACT,
     PressErrors,
     ball_center,
     ball_gradients,
@@ -44,6 +45,7 @@ from gelform.slopes.budget import noise_at_rest
 from gelform.slopes.color_models.forward_response import ForwardResponse, Step
 from gelform.slopes.sigma import AT_REST, HELD_OUT, ONE_SIGMA, TWO_SIGMA, SlopeSigma
 
+LENGTHS = 60  # correlation lengths that are tried
 LAGS = 24  # steps, px at 240 rows; errors in a contact correlate over 3-10
 
 # Pixels of presses, each solved by a model that has not seen its press.
@@ -113,7 +115,7 @@ def correlation_from_products(products: Numbers, step: float) -> tuple[float, fl
     below = np.nonzero(correlation[1:] < 0.05)[0]
     last = max(3, int(below[0]) + 1 if below.size else LAGS)
     lags = step * np.arange(1, last)
-    return _best_length(step * np.geomspace(0.7, LAGS, 60), lags, correlation[1:last])
+    return _best_length(step * np.geomspace(0.7, LAGS, LENGTHS), lags, correlation[1:last])
 
 
 def rest_correlation(products: Numbers, length: float) -> tuple[float, float]:
@@ -124,7 +126,9 @@ def rest_correlation(products: Numbers, length: float) -> tuple[float, float]:
     if products[0] <= 0:
         return 0.0, 0.0
     lags = np.arange(1, len(products))
-    shorts = np.geomspace(0.3, max(length / 2, 0.3), 60)  # px, from what noise and blur cause on
+    shorts = np.geomspace(
+        shortest := 0.3, max(length / 2, shortest), LENGTHS
+    )  # px, from what noise and blur cause on
     far = np.exp(-(lags**2) / (2 * length**2))
     return _best_length(shorts, lags, products[1:] / products[0], far)
 
@@ -364,7 +368,7 @@ def _far_depth(record: FrameRecord, circle_px: Circle) -> Map:
     """What `depth_factor` takes of each seventh pixel at rest beyond 2.5 radii of a contact; (4, 0) for under 200 pixels."""
     errors = record.depth_errors
     assert errors is not None
-    far = record.known & (distances_px(record.depth_mm.shape, *circle_px[:2]) > 2.5 * circle_px[2])
+    far = record.known & (distances_px(record.depth_mm.shape, *circle_px[:2]) > OFF_CONTACT * circle_px[2])
     if np.count_nonzero(far) < 200:
         return np.empty((4, 0), dtype=np.float32)
     unit = errors.spread / record.fixed.slope_sigma.depth_factor**2

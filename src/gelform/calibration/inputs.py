@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from math import pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from gelform.arrays import Array, Map, Numbers
 from gelform.calibration.circles.find import (
+    LEAST_PIXELS,
     PRESS_PIXELS,
+    RIM,
     TRIAL_SAMPLES,
     ContactCircle,
     PreparedPress,
@@ -30,14 +33,16 @@ from gelform.calibration.circles.find import (
     why_no_contact,
 )
 from gelform.calibration.circles.locate import Located, light_notes
-from gelform.calibration.coverage import NEEDED, SAMPLED, coverage_notes
+from gelform.calibration.coverage import NAMED, NEEDED, SAMPLED, coverage_notes
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.start import Start
 from gelform.errors import CalibrationError, Finding
+from gelform.foundations.filters import SIGMA_OF_MEDIAN
 from gelform.image.agreement import check_background_of_frames, orientation_if_doubtful, touch_in_first
 from gelform.image.background import surround_finding
 from gelform.sensors.profiles import PROFILES, SAME_SCALE, check_gel_width, light_order_of, scale_off_make
 from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
+from gelform.slopes.color_models.seam import HUBER_SLOPE
 
 INNER = 0.6  # fraction of the visible circle; the gel follows the ball inside it on every sensor
 # Relative error of the ratio of two sizes, each read by the other's presses: 0.034 on a real GelSight Mini.
@@ -120,7 +125,7 @@ def _by_model(located: Located, known: Start) -> tuple[BallReading, ...]:
         logs = _log_ratios(located, members, known.model)
         if logs.size:
             # standard error of the median of normal errors
-            of_median = 1.2533 * float(logs.std()) / np.sqrt(logs.size)
+            of_median = sqrt(pi / 2) * float(logs.std()) / np.sqrt(logs.size)
             read = stated * float(np.exp(np.median(logs)))
             sigma = read * float(np.hypot(known.spread, of_median))
             readings.append(BallReading(stated, read, sigma, known.by))
@@ -161,7 +166,7 @@ def _log_ratios(located: Located, members: Sequence[int], model: ColorModel) -> 
         press = located.prepared[i]
         inner = replace(press, contact_radius_ratio=INNER)
         rows, cols = inner.pixels(located.refined.contacts[i], 1.0, PRESS_PIXELS)
-        if len(rows) >= 30:
+        if len(rows) >= LEAST_PIXELS:
             radius = radius_from_gradients(press.gradients(model, rows, cols), cols, rows)
             ratios.append(radius / press.ball_radius_px)
     return np.log([ratio for ratio in ratios if 0 < ratio < np.inf])
@@ -181,7 +186,7 @@ def radius_from_gradients(gradients: Array, x_px: Array, y_px: Array) -> float:
         away, turned = (v - np.average(v, axis=0, weights=weight) for v in (place, normals))
         curvature = np.sum(weight[:, None] * away * turned) / np.sum(weight[:, None] * away**2)
         error = np.linalg.norm(turned - curvature * away, axis=1)
-        weight = np.minimum(1, 0.05 / np.maximum(error, 1e-12))  # about the usual error of a component
+        weight = np.minimum(1, HUBER_SLOPE / np.maximum(error, 1e-12))  # about the usual error of a component
     return float(1 / curvature) if curvature else float("inf")
 
 
@@ -232,7 +237,7 @@ def _check_orientation(presses: Presses) -> None:
                 f"All {len(names)} presses of {presses.folder} are {how} compared with the background. Either they or the "
                 "background image were saved in another way. Save all as RGB files that lie as the camera gives them."
             )
-        named = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+        named = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
         raise CalibrationError(
             f"{len(names)} of {len(presses.presses)} presses of {presses.folder} are {how} compared with the background: "
             f"{named}. Save all as RGB files, in the same way."
@@ -332,7 +337,7 @@ def shape_notes(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCir
     logs = np.log([imprint_aspect(shallow[k][0].size, shallow[k][1]) for k in _some(len(shallow))])
     middle = float(np.median(logs))
     # of a median, from absolute deviations
-    error = 1.86 * float(np.median(np.abs(logs - middle))) / len(logs) ** 0.5
+    error = SIGMA_OF_MEDIAN * sqrt(pi / 2) * float(np.median(np.abs(logs - middle))) / len(logs) ** 0.5
     if abs(middle) < max(ELLIPTIC, ELLIPTIC_SIGMAS * error):
         return ()
     how = "wider than high" if middle > 0 else "higher than wide"
@@ -345,7 +350,7 @@ def shape_notes(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCir
 def imprint_aspect(size: Map, contact: ContactCircle) -> float:
     """Width of an imprint over its height, from |change|: that of the ellipses at which the ring mean falls most steeply."""
     scale, falls, logs = scale_of(size.shape), [], np.linspace(-0.4, 0.4, 9)
-    low, high = int(0.6 * contact.radius_px), int(1.4 * contact.radius_px + 2 * scale)
+    low, high = int(RIM[0] * contact.radius_px), int(RIM[1] * contact.radius_px + 2 * scale)
     for aspect in np.exp(logs):
         rings = ring_mean(size, contact.x_px, contact.y_px, float(aspect))
         slope = gaussian_filter1d(rings, 2 * scale, order=1)

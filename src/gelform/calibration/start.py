@@ -19,7 +19,7 @@ from gelform.errors import CalibrationError
 from gelform.image.background import ChangeSettings, gain_from_background
 from gelform.sensors.profiles import make_of
 from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ForwardResponse, Samples, StartableModel
-from gelform.slopes.color_models.seam import node_positions
+from gelform.slopes.color_models.seam import MAX_SAMPLES, node_positions
 
 AUTO = "auto"
 
@@ -128,7 +128,7 @@ def translated(first: Calibration) -> tuple[StartableModel, ForwardResponse]:
             f"Expected a first unit that was calibrated on presses of a ball, got {first.sensor_name} with the imported "
             f"color model {first.color_model.name}: it does not say what color a slope gives. Calibrate it on presses."
         )
-    rng, count = np.random.default_rng(0), 20_000
+    rng, count = np.random.default_rng(0), MAX_SAMPLES
     shape, kind = first.image_shape, COLOR_MODELS[DEFAULT_MODEL]
     x, y = (rng.integers(0, n, count) for n in (shape[1], shape[0]))
     steepest = 0.7 if first.slope_sigma is None else first.slope_sigma.shown[1]  # mm/mm

@@ -26,6 +26,7 @@ from gelform.foundations.checks import (
 )
 from gelform.foundations.filters import LANES, MEDIAN_SAMPLES, SIGMA_OF_MEDIAN, bessel_k, blur_taps
 from gelform.image.background import CHANGE_OFFSET
+from gelform.image.view import PIXEL_VARIANCE
 
 _label_regions = Kernel("label_regions", "bool[h,w] mask, out u16[h,w] labels, out i32[n] work")
 _region_moments = Kernel("region_moments", "u16[h,w] labels, f32[h,w] depth, out f64[n,14] moments")
@@ -113,11 +114,11 @@ def contacts_from_mask(
             raise TypeError(f"Expected {name} as bool, got {one.dtype}. Convert it: {name} > 0.")
     pitch = None if mm_per_px is None else check_mm_per_px(mm_per_px)
     count, labels = labeled(mask)
-    moments = np.empty((count, 14))
+    moments = np.empty((count, MOMENTS))
     _region_moments(labels, z, moments)
     unsure = [False] * count
     if not seen.all():
-        of_known = np.empty((count, 14))
+        of_known = np.empty((count, MOMENTS))
         _region_moments(labels * seen, z, of_known)
         for k in np.flatnonzero(of_known[:, 0] < moments[:, 0]):  # regions with unknown pixels
             if of_known[k, 0]:
@@ -230,9 +231,9 @@ def _contact(
     count, x, y, xx, xy, yy, volume, deepest, deepest_x, deepest_y, left, right, top, bottom = row.tolist()
     center, (x_mm, y_mm) = (x / count, y / count), pitch or (1.0, 1.0)
     # A pixel is a square, not a point: its own second moment is 1/12.
-    a = (xx / count - center[0] ** 2 + 1 / 12) * (x_mm * x_mm)
+    a = (xx / count - center[0] ** 2 + PIXEL_VARIANCE) * (x_mm * x_mm)
     b = (xy / count - center[0] * center[1]) * (x_mm * y_mm)
-    d = (yy / count - center[1] ** 2 + 1 / 12) * (y_mm * y_mm)
+    d = (yy / count - center[1] ** 2 + PIXEL_VARIANCE) * (y_mm * y_mm)
     mean, apart = (a + d) / 2, float(np.hypot((a - d) / 2, b))
     in_mm: dict[str, Any] = {
         "area_mm2": count * x_mm * y_mm,
@@ -289,6 +290,7 @@ class Surround:
 
 # Chosen on every second or third press of six real sensors and on three simulated ones, so that one ball is one contact and
 # frames at rest have none; docs/contacts.md shows the other frames.
+MOMENTS = 14  # sums of a region
 NOISE_FACTOR = 3.5  # standard deviations: pressures over the noise at rest, depths of regions over their own
 MIN_AREA_MM2 = 0.05  # mm^2, area of the smallest contact
 SMOOTHING_PX = 0.7  # px, standard deviation of the Gaussian that smooths before the Laplacian
@@ -492,7 +494,7 @@ class PreparedContact:
         count = cv2.boxFilter(inner, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
         self._noise = noise * (np.float32(side**2) / np.maximum(count, 1))
         # The square that means are taken over smooths once more, by its own standard deviation.
-        smoothings = np.hypot(SMOOTHING_PX, [np.sqrt((side**2 - 1) / 12), 0])
+        smoothings = np.hypot(SMOOTHING_PX, [np.sqrt((side**2 - 1) * PIXEL_VARIANCE), 0])
         self._gains = None if correlation is None else [_gains(pitch, s, **correlation) for s in smoothings]
         self._everywhere = np.ones(noise.shape, dtype=np.bool_)
         self._square = np.ones((5, 5), dtype=np.uint8)  # px, closes half the gap beside a cube's crest

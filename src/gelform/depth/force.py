@@ -27,6 +27,7 @@ from gelform.foundations.checks import (
     check_within,
 )
 from gelform.image.light import REST_SIGMA
+from gelform.slopes.sigma import ONE_SIGMA
 
 
 class DotMotion(NamedTuple):
@@ -372,7 +373,6 @@ LEAST_LOADS, LEAST_OBJECTS, LEAST_RANGE = 3, 3, 3.0  # the last: the largest loa
 LEAST_SHARE = 0.05  # of the largest normal load; smaller ones, also below 0, are the gauge's zero
 LARGEST_LOAD = 1e9  # N and N mm; no press has more, and its square is far from the end of numbers
 KNOWN_K = 0.045  # N/mm^3, middle of hard objects on the studied gel (.036 to .051)
-ONE_SIGMA = 0.683  # of a normal distribution within one standard deviation
 
 
 @dataclass(frozen=True)

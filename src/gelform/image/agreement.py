@@ -36,7 +36,7 @@ from gelform.image.light import (
     without_light,
 )
 from gelform.image.markers import MarkerFollower
-from gelform.image.view import BRIGHT, DARK, pixels_digest
+from gelform.image.view import BRIGHT, DARK, pixels_digest, scale_of
 
 # Fraction of the brightness by which all but a quarter of an image differs, if it lies otherwise: 0.048 or more on six
 # sensors. Frames that lie as the background differ by up to 0.036.
@@ -212,19 +212,17 @@ def touch_in_first(image: Array, untouched: Array) -> SuspectedTouch | None:
 
 
 def _log(image: Array) -> Map:
-    smooth = cv2.GaussianBlur(np.asarray(image, dtype=np.float32), (0, 0), FINE_PX / 2 * _scale(image))
+    smooth = cv2.GaussianBlur(
+        np.asarray(image, dtype=np.float32), (0, 0), FINE_PX / 2 * scale_of(image.shape)
+    )
     return np.log(smooth + np.float32(CHANGE_OFFSET))
-
-
-def _scale(image: Array) -> float:
-    return min(image.shape[:2]) / 240
 
 
 def structure(log: Map) -> Map:
     """Root of the local energy (H, W) of an image's logarithm (H, W, 3) between the scales of noise and of light."""
-    fine, coarse = (cv2.GaussianBlur(log, (0, 0), px * _scale(log)) for px in (FINE_PX, COARSE_PX))
+    fine, coarse = (cv2.GaussianBlur(log, (0, 0), px * scale_of(log.shape)) for px in (FINE_PX, COARSE_PX))
     square = np.square(fine - coarse).sum(axis=-1)
-    return np.sqrt(cv2.GaussianBlur(square, (0, 0), COARSE_PX * _scale(log)))
+    return np.sqrt(cv2.GaussianBlur(square, (0, 0), COARSE_PX * scale_of(log.shape)))
 
 
 def _log_change(images: Map, untouched: Map) -> tuple[Numbers, Mask]:

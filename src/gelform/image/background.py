@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gelform._native import Kernel
-from gelform.arrays import Array, Map, Mask, Numbers, Slopes
+from gelform.arrays import MIB, Array, Map, Mask, Numbers, Slopes
 from gelform.errors import DataError, Finding
 from gelform.foundations.checks import (
     check_image,
@@ -265,7 +265,7 @@ class Background(NamedTuple):
 
 
 def background_from_frames(
-    frames: Iterable[ArrayLike], *, names: Sequence[str] | None = None, max_bytes: int = 192 * 2**20
+    frames: Iterable[ArrayLike], *, names: Sequence[str] | None = None, max_bytes: int = 192 * MIB
 ) -> Background:
     """A robust average of frames of the gel at rest.
 
@@ -364,7 +364,7 @@ def trimmed_mean(images: Sequence[Array]) -> tuple[Map, Numbers]:
     if len(images) == 1:
         return images[0].astype(np.float32), noise_from_image(images[0])
     cut = int(0.2 * len(images))
-    rows = max(1, 32 * 2**20 // (len(images) * images[0][0].nbytes))  # that are sorted at once, in 32 MiB
+    rows = max(1, 32 * MIB // (len(images) * images[0][0].nbytes))  # that are sorted at once, in 32 MiB
     average = np.empty(images[0].shape, dtype=np.float32)
     variances = []
     for first in range(0, len(average), rows):

@@ -14,7 +14,7 @@ from gelform.arrays import Array, Image, Map, Mask
 from gelform.errors import CalibrationError, Finding
 from gelform.foundations.checks import value_range
 from gelform.foundations.filters import CHANGE_OFFSET
-from gelform.image.view import DARK, as_levels
+from gelform.image.view import DARK, PIXEL_VARIANCE, as_levels
 
 BLOCK_PX = 16  # px, a block of JPEG with halved color resolution; parts of a frame are lost in such blocks
 
@@ -382,7 +382,7 @@ class DepthLimit:
     @property
     def ignorance_mm(self) -> float:
         """Standard deviation of a depth about which only the limit is known: that of a uniform distribution."""
-        return self.limit_mm / sqrt(12)
+        return self.limit_mm * sqrt(PIXEL_VARIANCE)
 
     def bound(self, depth_mm: Map) -> tuple[Map, tuple[Finding, ...]]:
         """Clip the depth (H, W) to plus and minus the limit, with a finding if that changed it."""

@@ -22,6 +22,7 @@ from gelform.arrays import Array, Floats, Map, Mask, Numbers
 from gelform.foundations.checks import check_image, check_mask
 from gelform.foundations.filters import log_levels
 from gelform.foundations.information import determined_by
+from gelform.image.view import PIXEL_VARIANCE
 
 # Standard deviations of the blurs, px, coarse to fine; the first still finds a shift of about 8 px.
 BLURS_PX = (6.0, 3.0, 1.5, 1.5)
@@ -197,7 +198,7 @@ def _solved(
 
 def _registration(motion: Numbers, covariance: Numbers, half: float, fraction: float) -> Registration:
     # No place is known to better than the step of interpolation, however strong the texture.
-    sigma = np.minimum(np.sqrt(np.diag(covariance) + STEP**2 / 12), PRIOR_PX)
+    sigma = np.minimum(np.sqrt(np.diag(covariance) + STEP**2 * PIXEL_VARIANCE), PRIOR_PX)
     degrees = np.rad2deg(1 / half)
     return Registration(
         shift_px=motion[:2].copy(),

@@ -237,6 +237,14 @@ def _lens_of_matrix(matrix: Any) -> Lens:
     return replace(given, perspective=tuple((back / back[2, 2] if back[2, 2] else back).ravel().tolist()))
 
 
+PIXEL_VARIANCE = 1 / 12  # px^2, of a place that is anywhere in a pixel
+
+
+def scale_of(shape: tuple[int, ...]) -> float:
+    """Factor for lengths in pixels: 1 for a frame whose shorter side is 240 px."""
+    return min(shape[:2]) / 240
+
+
 MAX_PIXELS = 200e6  # pixels of a frame or an image, at most
 FLIPS = ("none", "x", "y", "xy")
 TURNS = {"none": 0, "left": 1, "right": -1}  # quarter turns counterclockwise

@@ -42,6 +42,7 @@ from gelform.foundations.checks import (
 from gelform.foundations.information import determined_by
 from gelform.result import Reconstruction
 
+FREEDOM = 6  # of a rigid motion: three shifts and three turns
 ORTHONORMAL = 1e-6  # largest entry of R'R - 1 of a rotation, and error of the last row
 
 
@@ -66,7 +67,7 @@ def moved(pose: Array, points: Array) -> Array:
 def about_other_center(offset: Array) -> Array:
     """The matrix (6, 6) that makes a step about a center one about another, which is `offset` (3,) away."""
     x, y, z = offset
-    change = np.eye(6)
+    change = np.eye(FREEDOM)
     change[:3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]  # turn x offset
     return change
 
@@ -198,7 +199,8 @@ class TouchedSurface:
         """The equations of a step that follows the motion `pose` of this surface onto another, about its moved middle."""
         n, center = len(self.points), moved(pose, self.middle)
         residual, weight = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
-        jacobian, normal, inside = np.empty((n, 3, 6), np.float32), np.empty((6, 7)), np.empty(n, np.bool_)
+        jacobian, inside = np.empty((n, 3, FREEDOM), np.float32), np.empty(n, np.bool_)
+        normal = np.empty((FREEDOM, FREEDOM + 1))
         count = _motion_rows(
             self.points, self.slopes, self.point_variances, other.gradients, other.depth, *other.derivatives,
             other.variances, other.contact, other.inner, np.ascontiguousarray(pose[:3]), center, self.pitch, other.origin,
@@ -379,7 +381,7 @@ def motion_of(
     """`motion_between` of prepared surfaces."""
     if min(first.count, second.count) < LEAST_PX:
         return lost(f"no contact: {min(first.count, second.count)} px touch, {LEAST_PX} are needed")
-    found = _fitted(first, second, start, np.eye(6))
+    found = _fitted(first, second, start, np.eye(FREEDOM))
     if isinstance(found, Motion):
         return found
     blind, freely, pivot_mm = blind_directions(first, found)
@@ -431,7 +433,7 @@ def _with_prior(
     """
     held = np.diag(np.square(np.repeat(prior, 3)))
     gain = np.linalg.solve(along @ held @ along.T + own, along @ held).T
-    left = np.eye(6) - gain @ along
+    left = np.eye(FREEDOM) - gain @ along
     step = step_of_pose(pose @ np.linalg.inv(start), center)
     found = pose_of_step(freely @ along @ gain @ along @ step, center) @ start
     return found, left @ held @ left.T + gain @ own @ gain.T
@@ -479,7 +481,7 @@ def pose_covariance(surface: TouchedSurface, equations: Equations, inverse: Arra
     block = row * (int(col.max()) + 1) + col
     sums = np.stack([np.bincount(block, of) for of in scores.T], axis=1)
     count = int(np.count_nonzero(np.bincount(block, equations.shared)))
-    sandwich = inverse @ (sums.T @ sums) @ inverse * count / max(count - 6, 1)
+    sandwich = inverse @ (sums.T @ sums) @ inverse * count / max(count - FREEDOM, 1)
     # Slopes off by a constant, and too steep by a factor, along x and along y; and the pull of what stays.
     common = [np.stack([np.ones_like(of), of]) @ weighted[:, k] for k, of in enumerate(surface.slopes.T)]
     response = inverse @ np.vstack([*common, _pull(surface, equations)]).T
@@ -537,7 +539,7 @@ def blind_directions(first: TouchedSurface, at: Equations) -> tuple[tuple[Blind,
         turns = np.concatenate([about_other_center(-pivot)[:3, 3:], np.eye(3)]).T
         center = f"turns about the ball's center at {_place(at.center + pivot)}"
         pivot_mm = float(_sizes(pivot)) * shape**0.5
-        return tuple(Blind(turn, shape, center) for turn in turns), np.eye(6)[:, :3], pivot_mm
+        return tuple(Blind(turn, shape, center) for turn in turns), np.eye(FREEDOM)[:, :3], pivot_mm
     unseen = directions[:, chosen].T
     # A small turn beside a shift is noise: times a prior of millimeters, it would make turns uncertain that are seen.
     turning = _sizes(unseen[:, 3:] / scale[3:]) > 0.3 * _sizes(unseen[:, :3])
@@ -569,7 +571,7 @@ def _correlations(first: TouchedSurface, at: Equations, directions: Array) -> Ar
     turn_back = at.pose[:3, :3].T  # the same steps of the first frame
     back = np.concatenate([turn_back @ directions[:3], turn_back @ directions[3:]])
     theirs, ours = (
-        one.jacobian.reshape(-1, 6) @ steps.astype(np.float32)
+        one.jacobian.reshape(-1, FREEDOM) @ steps.astype(np.float32)
         for one, steps in ((at, directions), (first.own, back))
     )
     both, *alone = (

@@ -16,6 +16,7 @@ from gelform.foundations.checks import check_list
 from gelform.foundations.filters import fill_unknown
 from gelform.motion.between import (
     FOUND,
+    FREEDOM,
     LARGEST_SIGMA,
     LEAST_PX,
     LOST,
@@ -152,7 +153,7 @@ class Follower:
 
     def _first(self, surface: TouchedSurface, result: Reconstruction) -> tuple[Motion, int]:
         """The origin of the path."""
-        found = Motion(np.eye(4), np.zeros((6, 6)), surface.middle, (), 1.0, FOUND)
+        found = Motion(np.eye(4), np.zeros((FREEDOM, FREEDOM)), surface.middle, (), 1.0, FOUND)
         self._begin(_Placed(surface, self._number, result, found))
         self._alone = True
         return found, self._number
@@ -246,7 +247,9 @@ def placed(results: Sequence[Reconstruction], poses: Sequence[Motion | Tracked |
             continue
         motion = one.motion if isinstance(one, Tracked) else one
         if not isinstance(motion, Motion):
-            found.append((surface, checked_pose(motion, "a pose"), np.zeros((6, 6)), surface.middle))
+            found.append(
+                (surface, checked_pose(motion, "a pose"), np.zeros((FREEDOM, FREEDOM)), surface.middle)
+            )
         elif motion.pose is not None and motion.covariance is not None and motion.center_mm is not None:
             found.append((surface, motion.pose, motion.covariance, motion.center_mm))
     return found

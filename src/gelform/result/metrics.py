@@ -23,6 +23,7 @@ from gelform.foundations.checks import (
     check_positive,
     check_within,
 )
+from gelform.image.view import scale_of
 
 __all__ = [  # as the reference of the site lists them
     "FORMS", "PressErrors", "Roughness", "SlopeScore", "angle_deg", "areal_roughness", "gaussian_areal_filter",
@@ -34,6 +35,7 @@ _ball_center = Kernel(
     "f64[n,2] gradients, f64[n] x, f64[n] y, out f64[2] center, f64 radius, f64 scale, i64 rounds",
 )
 # Fraction of the radius: farther out the slopes of a ball are held constant; the same in native/result/metrics/center.c.
+OFF_CONTACT = 2.5  # contact radii, beyond which the gel is at rest
 STEEPEST_FRACTION = 0.97
 
 
@@ -238,7 +240,7 @@ def press_fit(
     cx, cy, contact = check_numbers(circle_px, "circle_px", 3)
     mm_per_px = check_positive(mm_per_px, "mm_per_px")
     ball_px = check_within(ball_radius_mm, "ball_radius_mm", 1e-3, 1e4) / mm_per_px
-    inset = 3 * min(height, width) / 240
+    inset = 3 * scale_of((height, width))
     rho = np.hypot(x - cx, y - cy)
     followed = followed_radius(contact, ball_px)
     visible = min(followed - inset, STEEPEST_FRACTION * ball_px)
@@ -262,7 +264,7 @@ def press_fit(
         return float(1e3 * np.std(depth_mm[region] - ball))
 
     _, fitted_mm = fit_sphere(depth_mm, inside, mm_per_px=mm_per_px, radius_mm=ball_radius_mm)
-    far = rho > 2.5 * contact
+    far = rho > OFF_CONTACT * contact
     off = 1e3 * np.sqrt(np.mean(np.square(depth_mm[far], dtype=np.float64))) if far.any() else np.nan
     errors = PressErrors(
         normal_deg=normal((cx, cy), inside),

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.arrays import Array, Map, Mask, Slopes
+from gelform.arrays import MIB, Array, Map, Mask, Slopes
+from gelform.calibration_file import THUMBNAIL_PX
 from gelform.depth.contact import Contact, at_least, contacts_from_mask, may_be_deeper
 from gelform.depth.force import Force, ForceModel, force_from_result
 from gelform.errors import DataError, Finding, GelformError
@@ -31,8 +32,6 @@ from gelform.image.markers import MarkerFlow
 from gelform.result.maps import BESIDE_DEPTH, MAPS
 from gelform.result.shape import ShapeErrors
 from gelform.slopes.normals import normals_from_gradients
-
-THUMBNAIL_PX = 240  # the picture's width in a notebook
 
 
 @dataclass(frozen=True)
@@ -379,7 +378,7 @@ def load_result(path: str | PathLike[str]) -> Reconstruction:
     DataError
         The file is missing, truncated, altered, no result, or of a newer format; the message says which.
     """
-    most = 4 * 2**30  # bytes that a file may declare: far beyond any frame's result
+    most = 4 * 1024 * MIB  # bytes that a file may declare: far beyond any frame's result
     arrays, meta = read_npz(path, kind=KIND, newest_version=FORMAT_VERSION, max_bytes=most, error=DataError)
     with damaged(path, "a result", "Reconstruct again.", DataError):
         _check_contents(arrays, meta)

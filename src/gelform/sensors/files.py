@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from gelform.arrays import Array, Image
+from gelform.arrays import MIB, Array, Image
 from gelform.errors import DataError, GelformError, said
 from gelform.foundations.checks import (
     check_gel_thickness,
@@ -156,7 +156,7 @@ def read_image(path: str | Path, *, most_pixels: float = MAX_PIXELS, bgr: bool =
 
 def _picture_bytes(path: Path, most_pixels: float) -> bytes:
     """The bytes of a file with at most 4 of a pixel, with transparency and not compressed, and 64 MB of all else."""
-    return bytes_of(path, "an image", 4 * most_pixels + 2**26)
+    return bytes_of(path, "an image", 4 * most_pixels + 64 * MIB)
 
 
 def is_stack(path: Path) -> bool:

@@ -296,12 +296,12 @@ class Grabber(Closing):
 
     def _reopen(self) -> None:
         """Reopen the source as soon as it is available: by its spec, else by its serial, because paths may change."""
-        wait_s, lost = 0.02, self.source
+        wait_s, lost = 0.01, self.source
         attempts = [self._open_again]
         if self._finds_serials and lost.serial:
             attempts.append(partial(open_source, lost.serial))
         while not self._stop.wait(wait_s):
-            wait_s = min(1.5 * wait_s, 0.12)
+            wait_s = min(2 * wait_s, 0.1)
             for attempt in attempts:
                 try:
                     source = attempt()

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, NamedTuple
 import cv2
 import numpy as np
 
-from gelform.arrays import Image
+from gelform.arrays import MIB, Image
 from gelform.errors import DataError, cannot, needed, said
 from gelform.foundations.files import conversion_of_bag
 from gelform.image.view import Frame
@@ -52,7 +52,7 @@ def typestore() -> Any:
 
 def header_of(store: Any, stamp_ns: int, frame_id: str) -> Any:
     """A std_msgs/Header of a time, UTC, and the name of a camera or a coordinate frame."""
-    stamp = store.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
+    stamp = store.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, NS_PER_S))
     return store.types["std_msgs/msg/Header"](stamp, frame_id)
 
 
@@ -78,7 +78,7 @@ def decoded(message: bytes, kind: str) -> Any:
 
 def time_ns_of(message: Any) -> int:
     """The time of a message with a header, UTC, ns."""
-    return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
+    return int(message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec)
 
 
 def pixels_from_raw(image: Any) -> Image:
@@ -141,7 +141,7 @@ class McapRecording:
             except FileExistsError:
                 raise DataError(f"{path} is there already. Give another name, or remove it.") from None
         uncompressed = mcap.CompressionType.NONE  # pictures are already compressed
-        self._writer = mcap.Writer(self._file, chunk_size=2**24, compression=uncompressed)
+        self._writer = mcap.Writer(self._file, chunk_size=16 * MIB, compression=uncompressed)
         # The library ends a chunk only by its size; the method that ends one is private (a test guards this use).
         self._end_chunk = self._writer._Writer__finalize_chunk
         try:
@@ -224,7 +224,8 @@ MAGIC = b"\x89MCAP0\r\n"  # at the start and the end of a file (MCAP specificati
 CUT = "The frames before that are read; how many follow is not known."
 METADATA_FILE, METADATA_KEY = "metadata.yaml", "rosbag2_bagfile_information"
 # Bytes of a record or a decompressed chunk; a larger one is damaged and would fill the memory.
-MAX_RECORD_BYTES = 256 * 2**20
+NS_PER_S = 1_000_000_000
+MAX_RECORD_BYTES = 256 * MIB
 SAMPLED_RECORDS = 200  # records that are read to find which pictures a file contains
 
 
@@ -342,7 +343,7 @@ def _decompressed(chunk: Any) -> Any:
     """
     size = chunk.uncompressed_size
     if size > MAX_RECORD_BYTES:
-        raise ValueError(f"a chunk states {size / 1e6:.3g} MB, more than {MAX_RECORD_BYTES >> 20} MB.")
+        raise ValueError(f"a chunk states {size / 1e6:.3g} MB, more than {MAX_RECORD_BYTES // MIB} MB.")
     if chunk.compression not in ("zstd", "lz4"):
         return chunk
     compressed = needed("zstandard" if chunk.compression == "zstd" else "lz4.frame", "mcap", "An MCAP file")

@@ -12,9 +12,11 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from http.client import HTTPConnection, HTTPException, HTTPResponse, RemoteDisconnected
+from http import HTTPStatus
+from http.client import HTTP_PORT, HTTPS_PORT, HTTPConnection, HTTPException, HTTPResponse, RemoteDisconnected
 from urllib.parse import SplitResult, unquote, urlsplit
 
+from gelform.arrays import MIB
 from gelform.errors import SensorError, SourceLostError
 from gelform.image.view import Frame
 from gelform.sensors.pictures import MAX_TORN, image_from_jpeg, jpeg_shape, reduction_of
@@ -23,8 +25,8 @@ from gelform.sensors.playback import Closing, FrameReader
 OPEN_S = 2.0  # s, timeout for the connection and the first picture
 STALL_S = 1.0  # s without data until the camera counts as lost
 PICTURE_S = 5.0  # s without a whole picture, whatever else arrives: a large one over a slow network takes 3
-RECEIVE_BYTES = 2**20  # of one call
-MAX_PART_BYTES, MAX_PART_HEADER_BYTES = 2**26, 2**14  # limits of a picture and its header
+RECEIVE_BYTES = MIB  # of one call
+MAX_PART_BYTES, MAX_PART_HEADER_BYTES = 64 * MIB, 16 * 1024  # limits of a picture and its header
 _SECRET = re.compile(r"([?&][^=&]*(?:pass|pwd|token|key|secret)[^=&]*=)[^&#]*", re.IGNORECASE)
 _LENGTH = re.compile(rb"content-length:\s*(\d{1,12})", re.IGNORECASE)
 
@@ -141,7 +143,7 @@ class HttpBody:
         expected = f"Expected an address like http://host:8080/stream, got {self.url}."
         try:
             place = urlsplit(url)
-            port = place.port or (443 if place.scheme == "https" else 80)
+            port = place.port or (HTTPS_PORT if place.scheme == "https" else HTTP_PORT)
         except ValueError:
             raise SensorError(expected) from None
         if not place.hostname:
@@ -286,11 +288,11 @@ def _answer_to(place: SplitResult, connected: socket.socket, url: str) -> HTTPRe
         raise SensorError(f"{url} does not speak HTTP.") from problem
     except OSError as problem:
         raise SensorError(f"{url} does not answer: {_said(problem)}.") from problem
-    if response.status != 200:
+    if response.status != HTTPStatus.OK:
         response.close()
         remedy = "Check the path of the address."
         moved = shown_address(response.headers.get("Location") or "")
-        if response.status == 401:
+        if response.status == HTTPStatus.UNAUTHORIZED:
             remedy = "Put the camera's user and password before the host: http://user:password@host/..."
         elif moved:
             remedy = f"It has moved to {moved}: give that address."
@@ -330,7 +332,7 @@ class PartSplitter:
             parts.append(part)
         if len(self._bytes) > MAX_PART_BYTES:
             raise ValueError(
-                f"Expected a picture of at most {MAX_PART_BYTES >> 20} MB, got more without an end."
+                f"Expected a picture of at most {MAX_PART_BYTES // MIB} MB, got more without an end."
             )
         return parts
 

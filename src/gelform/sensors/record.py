@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from gelform import Calibration, DataError, Frame, GelformError, Grabber, __version__, load_calibration
-from gelform.arrays import Map
+from gelform.arrays import MIB, Map
 from gelform.errors import Progress, cannot, no_progress
 from gelform.foundations.files import check_free, named_file, picture_bytes
 from gelform.sensors.mcap import McapRecording, is_bag_folder, mcap_file_in, mcap_records
@@ -28,7 +28,7 @@ from gelform.sensors.playback import (
     image_from_encoded,
 )
 
-MAX_ATTACHMENT_BYTES = 64 * 2**20
+MAX_ATTACHMENT_BYTES = 64 * MIB
 KEPT_FRAMES = 32  # held by the grabber for `record_frames`: bridges half a second in which the disk stalls
 
 
@@ -66,7 +66,7 @@ def attached_to(path: Path) -> dict[str, bytes]:
     for name, content in found.items():
         if len(content) > MAX_ATTACHMENT_BYTES:
             raise DataError(
-                f"Expected {name} in {path} of at most {MAX_ATTACHMENT_BYTES >> 20} MB, got {len(content)} bytes."
+                f"Expected {name} in {path} of at most {MAX_ATTACHMENT_BYTES // MIB} MB, got {len(content)} bytes."
             )
     return found
 
@@ -228,7 +228,7 @@ class Recorder:
         background: Map | None = None,
         wanted: Callable[[], bool] = lambda: True,
         on_ended: Callable[[Recorder], None] = lambda _: None,
-        max_bytes: int = 2 * 10**9,
+        max_bytes: int = 2_000_000_000,
     ) -> None:
         self.path = new_file(folder, "recording")
         self.stats = RecordStats()  # so far

@@ -153,6 +153,7 @@ RATE_HZ = 60.0  # frames a second
 IMAGE_RATE_HZ = 30.0  # images shown per second
 REST_IMAGES = 12  # images of the gel at rest before each object
 BALL = Ball(2.5)
+ROLL_STEPS = 48  # images of one roll
 ROLL = 0.3  # distance of the rolling ball from the middle, as a fraction of the image's width and height
 STEP_MM = 0.025  # depths of requested presses are rounded to this, so that computed images can be reused
 PRESS_S, HOLD_S = 0.35, 1.6  # s of a requested press: time of going in or out, and of staying
@@ -310,8 +311,9 @@ class SimulatedSource(Closing, FrameReader):
 def program(sensor: SimulatedSensor) -> list[list[PosedObject | None]]:
     """The touches of each object, image by image; None: nothing touches. Pressed objects leave the way they came."""
     height, width = (size * sensor.mm_per_px for size in sensor.shape)
-    turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-    depths_mm = 0.55 * np.minimum(1, np.minimum(np.arange(48), np.arange(48)[::-1]) / 8)
+    turn = np.linspace(0, 2 * np.pi, ROLL_STEPS, endpoint=False)
+    step = np.arange(ROLL_STEPS)
+    depths_mm = 0.55 * np.minimum(1, np.minimum(step, step[::-1]) / 8)
     # A ball goes in, rolls once around the middle, and goes out.
     rolling = [
         Pose(max(d, 0.02), (ROLL * width * float(np.cos(a)), ROLL * height * float(np.sin(a))))

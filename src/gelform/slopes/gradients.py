@@ -19,6 +19,7 @@ from gelform.foundations.checks import (
     check_values,
     check_within,
 )
+from gelform.image.view import scale_of
 
 # Signs of normals to gelform's.
 CONVENTIONS = {"directx": (1, 1, 1), "opengl": (1, -1, 1), "opencv": (1, 1, -1)}
@@ -91,7 +92,7 @@ def smoothed_gradients(gradients: ArrayLike, *, texture: float = 0.02) -> Slopes
     if slopes.ndim != 3:
         raise ValueError(f"Expected gradients of one frame, (H, W, 2), got {slopes.shape}.")
     halved = np.float32(check_within(texture, "texture", 1e-6, 1e6)) ** 2
-    scale = min(slopes.shape[:2]) / 240
+    scale = scale_of(slopes.shape)
     coarse = _blurred(slopes, 3.0 * scale)
     detail = slopes - coarse
     agreed = np.square(_blurred(detail, 2.5 * scale)).sum(axis=-1, keepdims=True)

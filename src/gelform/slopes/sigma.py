@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import erf, pi, sqrt
 from typing import Any, NamedTuple
 
 import cv2
@@ -16,7 +16,10 @@ from gelform.arrays import Array, Image, Mask, Numbers
 from gelform.foundations.checks import check_values, check_within
 from gelform.image.view import DARK
 
-ONE_SIGMA, TWO_SIGMA = 0.6827, 0.9545  # of a normal distribution within one and two standard deviations
+ONE_SIGMA, TWO_SIGMA = (
+    erf(sqrt(0.5)),
+    erf(sqrt(2)),
+)  # of a normal distribution within one and two standard deviations
 MIN_IN_BIN = 50  # pixels; fewer do not determine a quantile
 LEAST_SIGMA = 1e-5  # mm/mm, least deviation: float32 rounds slopes to less
 LEAST_FACTOR = 0.3  # smallest factor of solved slopes; errors that have no curl stay
@@ -199,7 +202,7 @@ def either(one: Mask | None, other: Mask | None) -> Mask | None:
 
 JPEG_BLOCK_PX = 8
 # Standard deviation of a normal distribution over the mean |a - b| of two of its values: sqrt(pi)/2.
-SIGMA_OF_JUMP = 0.8862
+SIGMA_OF_JUMP = sqrt(pi) / 2
 _column_jumps = Kernel(
     "column_jumps", "u8[h,w,3] image, u8[h,w,3] rest, out i32[n] work, out f32[8] medians, i32 step"
 )

@@ -29,14 +29,16 @@ import cv2
 import numpy as np
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter1d
+from scipy.special import expit
 
 from gelform.arrays import Array, Map, Mask, Numbers
 from gelform.calibration.presses.press_set import Circle, Presses, check_room
 from gelform.errors import CalibrationError, Progress, no_progress
-from gelform.foundations.filters import CHANGE_OFFSET
+from gelform.foundations.filters import CHANGE_OFFSET, SIGMA_OF_MEDIAN
 from gelform.image.agreement import check_background_of_frames
 from gelform.image.background import ChangeSettings, PreparedBackground
 from gelform.image.markers import MarkerFinder
+from gelform.image.view import scale_of
 from gelform.result.metrics import ball_gradients, followed_radius
 from gelform.slopes.color_models import COLOR_MODELS, PLAIN_MODEL, ColorModel, Samples
 
@@ -51,6 +53,9 @@ USUAL_UNTOUCHED_CHANGE = 0.03  # if no press leaves room for the measurement
 TOTAL_SAMPLES = 40_000  # pixels of all presses; twice as many fit no better
 TRIAL_SAMPLES = 15_000  # pixels of all presses for a fit that places circles or is tried on held-out presses
 PRESS_PIXELS = 1_500  # pixels of a press that a model is compared with; neighbors are copies
+LEAST_PIXELS = 30  # of a contact; fewer show no ball
+RIM = 0.6, 1.4  # of the expected radius: where the visible rim is searched for
+REACH = 0.6  # of the shorter side: the largest ring about a center
 ZONE = 0.95  # fraction of the contact radius that trains
 # Fraction of the visible radius: 0.74-0.90 on five simulated sensors, 0.81-0.91 as measured on real ones.
 USUAL_EDGE = 0.85
@@ -245,11 +250,6 @@ def untouched_change(presses: Sequence[PreparedPress], contacts: Sequence[Contac
     return float(np.median(sizes)) if sizes else USUAL_UNTOUCHED_CHANGE
 
 
-def scale_of(shape: tuple[int, int]) -> float:
-    """Factor for lengths in pixels: 1 for a frame whose shorter side is 240 px."""
-    return min(shape) / 240
-
-
 def distances_px(shape: tuple[int, ...], x_px: float, y_px: float) -> Array:
     """Distance (H, W) of each pixel of an image (H, W, ...) from a point, px."""
     rows, cols = np.ogrid[: shape[0], : shape[1]]
@@ -342,10 +342,10 @@ def why_no_contact(contact: ContactCircle) -> str | None:
 
 def contact_radius(size: Map, x_px: float, y_px: float, near_px: float | None = None) -> float:
     """Radius of the steepest descent of the ring mean of |change| about a center; near a given one if any."""
-    scale, last = scale_of(size.shape), int(0.6 * min(size.shape))
+    scale, last = scale_of(size.shape), int(REACH * min(size.shape))
     low, high = 6 * scale, last - 5 * scale
     if near_px is not None:
-        low, high = max(low, 0.6 * near_px), min(high, 1.4 * near_px + 2 * scale)
+        low, high = max(low, RIM[0] * near_px), min(high, RIM[1] * near_px + 2 * scale)
         last = min(last, int(max(low, high) + 9 * scale) + 3)  # the blur reaches 8 px at 240 rows
     slope = gaussian_filter1d(ring_mean(size, x_px, y_px, count=last), 2 * scale, order=1)
     start, stop = int(low), max(int(low) + 1, int(high))
@@ -357,7 +357,7 @@ def ring_mean(
     values: Map, x_px: float, y_px: float, aspect: float = 1.0, count: int | None = None
 ) -> Numbers:
     """Mean of a map on rings of 1 px about a center, `count` or out to 0.6 of the shorter side; of a width over height."""
-    count = int(0.6 * min(values.shape)) if count is None else count
+    count = int(REACH * min(values.shape)) if count is None else count
     reach = count * max(aspect, 1 / aspect) ** 0.5 + 1
     top, left = (int(np.clip(at - reach, 0, n)) for at, n in zip((y_px, x_px), values.shape))
     values = values[top : max(0, int(y_px + reach) + 2), left : max(0, int(x_px + reach) + 2)]
@@ -424,7 +424,9 @@ def find_by_templates(
 def _noise(pictures: Map, circles: Sequence[Circle | None]) -> Map:
     """Noise (N, H, W, 3) of each pixel: the frame's own, and what changes there in most frames of another place."""
     size = np.abs(pictures)
-    own = np.maximum(1.4826 * np.median(size, axis=(1, 2)), 0.01)[:, None, None]  # of the color change
+    own = np.maximum(SIGMA_OF_MEDIAN * np.median(size, axis=(1, 2)), 0.01)[
+        :, None, None
+    ]  # of the color change
     if len(size) < 3 or any(one is None for one in circles):
         return np.broadcast_to(own, size.shape).astype(np.float32)
     for one, circle in zip(size, circles):
@@ -437,7 +439,7 @@ def _noise(pictures: Map, circles: Sequence[Circle | None]) -> Map:
     at = np.maximum(0.7 * last, 0)
     low, high = (np.take_along_axis(ordered, f(at).astype(int), axis=0) for f in (np.floor, np.ceil))
     common = np.nan_to_num(low + (high - low) * (at % 1))[0].astype(np.float32)
-    common = 1.4826 * cv2.GaussianBlur(common, (0, 0), 1.0)
+    common = SIGMA_OF_MEDIAN * cv2.GaussianBlur(common, (0, 0), 1.0)
     return np.sqrt(own**2 + (COMMON * np.clip(common - own, 0, None)) ** 2)
 
 
@@ -449,7 +451,7 @@ def _prepared(shape: tuple[int, int], radius: float) -> tuple[Any, ...]:
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1] / radius
     rho = np.hypot(x, y)
     disc = (rho <= end).astype(float)
-    contact = disc / (1 + np.exp(np.clip((rho - 0.95) / 0.08, -30, 30)))  # a soft rim, 0.08 radii wide
+    contact = disc * expit((0.95 - rho) / 0.08)  # a soft rim, 0.08 radii wide
     templates = np.stack([disc, contact * x, contact * y, (contact * rho) ** 2, contact])
     size = [next_fast_len(n + 2 * reach, True) for n in shape]
     frame = np.zeros(size)

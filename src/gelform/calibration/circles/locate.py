@@ -30,6 +30,7 @@ from scipy.sparse.csgraph import connected_components
 
 from gelform.arrays import Array, Map, Numbers
 from gelform.calibration.circles.find import (
+    LEAST_PIXELS,
     PRESS_PIXELS,
     TRIAL_SAMPLES,
     USUAL_EDGE,
@@ -277,7 +278,7 @@ def fit_model(
 def recentered(press: PreparedPress, contact: ContactCircle, model: ColorModel) -> ContactCircle:
     """The contact moved to the place near its found one where the ball agrees best with the model."""
     rows, cols = press.pixels(contact, ZONE, PRESS_PIXELS)
-    if len(rows) < 30:
+    if len(rows) < LEAST_PIXELS:
         return contact
     gradients = press.gradients(model, rows, cols)
     x, y = ball_center(gradients, cols, rows, (contact.x_px, contact.y_px), press.ball_radius_px, rounds=8)
@@ -304,7 +305,7 @@ def why_impossible(press: PreparedPress) -> str | None:
             )
     contact = press.found
     reason = why_no_contact(contact)
-    if reason is not None or len(press.pixels(contact, ZONE)[0]) >= 30:
+    if reason is not None or len(press.pixels(contact, ZONE)[0]) >= LEAST_PIXELS:
         return reason
     if contact.radius_px > 3 * press.ball_radius_px:  # no press makes so wide a contact
         return (

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.calibration.coverage import NAMED
 from gelform.calibration.geometry.scale import Scale
 from gelform.calibration.presses.press_set import (
     UNREAD,
@@ -68,7 +69,6 @@ __all__ = ["Press", "Presses", "as_presses", "kind_of_presses", "read_presses"]
 PRESS_FOLDER, TAXIM, PLAIN, VIDEO = "press folder", "Taxim dataPack", "folder of images", "video"
 LABEL_COLUMNS = ("center_x_px", "center_y_px", "contact_radius_px")
 DIAMETER = re.compile(r"(?<![\d.,])(\d+(?:[.,]\d+)?)[ _-]?mm(?![a-z])", re.IGNORECASE)  # in a folder's name
-NAMED_ODD = 5  # images of another size that a message lists
 
 
 @dataclass(frozen=True)
@@ -319,8 +319,8 @@ def _check_one_size(sizes: Mapping[str, tuple[int, int]], background: tuple[int,
             f"Expected all images of one size: the background is {_px(background)}, {count} of {len(sizes)} presses "
             f"are {_px(usual)}. Take the background anew with the camera settings of the presses."
         )
-    named = ", ".join(f"{name} is {_px(size)}" for name, size in list(odd.items())[:NAMED_ODD])
-    more = f", and {len(odd) - NAMED_ODD} more" if len(odd) > NAMED_ODD else ""
+    named = ", ".join(f"{name} is {_px(size)}" for name, size in list(odd.items())[:NAMED])
+    more = f", and {len(odd) - NAMED} more" if len(odd) > NAMED else ""
     raise DataError(
         f"Expected all images of one size: {named}{more}; the background and {len(sizes) - len(odd)} presses are "
         f"{_px(background)}. Leave the odd ones out, or take all with the same camera settings."

@@ -16,11 +16,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.arrays import MIB
 from gelform.errors import DataError, Progress
 from gelform.foundations.checks import check_image, check_is
 from gelform.image.background import trimmed_mean
 from gelform.image.view import Frame, View, image_from_frame
-from gelform.sensors.playback import Film
+from gelform.sensors.playback import USUAL_RATE_HZ, Film
 
 MAX_THUMBS = 6000  # thumbnails that are kept: four minutes at 25 frames a second
 STEPS = 64  # steps of a gray level that thumbnails keep
@@ -28,7 +29,7 @@ CHUNK = 64  # thumbnails compared at once, to limit memory
 MIN_TOUCH = 3.0  # gray levels, smallest change by a contact
 MIN_STILL = 5  # frames
 BACKGROUND_FRAMES = 60  # frames that are averaged at most
-MAX_KEPT_BYTES = 1 << 30  # bytes of images kept from an iterator
+MAX_KEPT_BYTES = 1024 * MIB  # bytes of images kept from an iterator
 
 
 class Thumbnails:
@@ -261,7 +262,7 @@ class _Images:
                 self._kept_bytes += image.image.nbytes
                 if self._kept_bytes > MAX_KEPT_BYTES:
                     raise DataError(
-                        f"Expected at most {MAX_KEPT_BYTES >> 30} GiB of frames from an iterator, got more after "
+                        f"Expected at most {MAX_KEPT_BYTES // (1024 * MIB)} GiB of frames from an iterator, got more after "
                         f"{len(self._kept)} frames. Record a video and read that: it is not kept in memory."
                     )
                 self._kept.append(image)
@@ -311,7 +312,7 @@ def presses_in_film(
     for frame in images.all():
         thumbs.add(frame.image, frame.index, frame.time_s)
         shape = frame.image.shape
-        if frame.index % 25 == 0:
+        if frame.index % round(USUAL_RATE_HZ) == 0:
             progress(frame.index, 0, "looking through the frames")
     if images.view is None:
         raise DataError(f"No frame in {name}. Expected a sequence that shows the gel at rest and presses.")
@@ -362,7 +363,7 @@ def _analysed(
         reference = thumbnail(background)
         rest = distances(levels, reference) <= max(2.0, 3 * noise)
     span = thumbs.time_s[-1] - thumbs.time_s[0]
-    rate = (len(levels) - 1) / span if span > 0 else 25.0
+    rate = (len(levels) - 1) / span if span > 0 else USUAL_RATE_HZ
     found = stretches(levels, reference, noise, rate_hz=rate, factor=thumbs.factor)
     if not found:
         touch = distances(levels, reference)

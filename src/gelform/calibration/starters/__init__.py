@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gelform.arrays import Array, Map, Numbers
+from gelform.arrays import MIB, Array, Map, Numbers
 from gelform.calibration_file import Calibration, calibration_from_contents
 from gelform.errors import CalibrationError, Finding, SensorError
 from gelform.foundations.checks import check_image, check_is, check_mm_per_px, check_positive
@@ -172,7 +172,7 @@ def _alike(one: Numbers, other: Numbers) -> float:
     return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-12))
 
 
-KIND, FORMAT_VERSION, MAX_BYTES = "gelform starter", 1, 4 * 2**20
+KIND, FORMAT_VERSION, MAX_BYTES = "gelform starter", 1, 4 * MIB
 FOLDER = files("gelform") / "calibration" / "starters"
 
 

@@ -102,8 +102,8 @@ def _four_pixels(p: Array) -> Array:
         return _trapezoid(p)
     edge = np.empty((*p.shape[:-1], count - 1), dtype=p.dtype)
     edge[..., 1:-1] = 13 * (p[..., 1:-2] + p[..., 2:-1]) - p[..., :-3] - p[..., 3:]
-    edge[..., 0] = 9 * p[..., 0] + 19 * p[..., 1] - 5 * p[..., 2] + p[..., 3]
-    edge[..., -1] = 9 * p[..., -1] + 19 * p[..., -2] - 5 * p[..., -3] + p[..., -4]
+    for at, q in ((0, p), (-1, p[..., ::-1])):
+        edge[..., at] = 9 * q[..., 0] + 19 * q[..., 1] - 5 * q[..., 2] + q[..., 3]
     return edge / p.dtype.type(24)
 
 

@@ -164,7 +164,7 @@ class MarkerPatches:
         away = half * np.hypot(x, y).ravel()
         # Of other dots that come near.
         taper = 1 / (1 + np.exp((away - 1.6 * self.radius_px) / (0.3 * self.radius_px)))
-        light = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1).reshape(-1, 6)
+        light = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1).reshape(-1, LIGHT)
         for i in range(len(self.corners_px)):
             parts = [part[self._at(i)].ravel() for part in self._parts]
             weight = taper * np.exp(parts[0])  # the noise of a logarithm falls with the level
@@ -196,7 +196,7 @@ def level_from_image(image: Array) -> Image:
 def _is_of_rubber(warp: Numbers) -> bool:
     """Whether the singular values of a map (2, 2) are within the reach of rubber."""
     stretch = np.linalg.svd(warp, compute_uv=False)
-    return bool(stretch[0] < 2.2 and stretch[1] > 0.35)
+    return bool(stretch[0] < STRENGTH[1] and stretch[1] > 0.35)
 
 
 LEVEL_OFFSET = 5.0  # gray levels; noise of dark pixels is no darkness

@@ -70,9 +70,9 @@ class NewestFrames:
     def next(self, after_index: int) -> Frame | None:
         if self._paused():
             self._waited = True
-            time.sleep(0.05)  # s between checks whether the pause is over
+            time.sleep(0.1)  # s between checks whether the pause is over
             return None
-        frame = self._grabber.newest(after_index, 0.2)  # s, before a request to stop is checked
+        frame = self._grabber.newest(after_index, 0.1)  # s, before a request to stop is checked
         if frame is not None:
             before, self._lost = self._lost, self._grabber.stats.drops
             missing = frame.index - after_index - 1 - (self._lost - before)

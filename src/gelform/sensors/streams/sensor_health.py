@@ -26,6 +26,7 @@ from gelform.foundations.filters import robust_sigma
 from gelform.image.agreement import room_light_finding, touch_in
 from gelform.image.light import FrameLight, block_means, light_at_rest, light_from_blocks, lit, without_light
 from gelform.image.registration import PreparedRegistration
+from gelform.image.view import PIXEL_VARIANCE
 from gelform.sensors import Source, settings_mismatch
 
 STEP_S, MEAN_S = 1.0, 3.0  # s: interval of the light's fits, and averaging time of the blocks for them
@@ -302,7 +303,7 @@ class Marks:
         odd = _stands_out(change, _near_a_body(evidence.contact))
         if self._stays is None:
             self._stays = np.zeros(odd.shape, np.uint8)
-        self._stays[:] = np.where(_dilated(odd, 1), np.minimum(self._stays + 1, 250), 0)
+        self._stays[:] = np.where(_dilated(odd, 1), cv2.add(self._stays, 1), 0)
         largest = _largest_marks(odd & (self._stays >= MARK_STAYS), change, evidence.contact)
         findings = []
         for name, words in _WORDS.items():
@@ -376,7 +377,7 @@ def _kind(mine: Mask, change: Map, area: int) -> tuple[str, float]:
     """The name and the length, px, of a mark (H, W) whose pixels changed by (N, 3)."""
     y, x = np.nonzero(mine)
     covariance = np.cov(np.stack([x, y])) if area > 1 else np.zeros((2, 2))
-    small, large = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0)) * np.sqrt(12) + 1
+    small, large = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0)) / np.sqrt(PIXEL_VARIANCE) + 1
     if area > TORN_AREA * mine.size and abs(change.mean()) > TORN:
         return "tear", float(large)
     sizes = np.abs(change).mean(axis=0)

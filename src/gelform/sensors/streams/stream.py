@@ -26,7 +26,7 @@ from gelform import (
     background_from_frames,
     image_from_frame,
 )
-from gelform.arrays import Array, Map
+from gelform.arrays import MIB, Array, Map
 from gelform.calibration.library import NoCalibration, choose_calibration, unit_of
 from gelform.calibration.starters import Starter, load_starter, starter_names, starter_of_source
 from gelform.errors import Finding
@@ -43,7 +43,7 @@ from gelform.sensors.streams.sensor_health import camera_findings
 STEADY_S = 1.0  # s without motion; a hand that presses cannot keep as still
 LEAST = 3  # frames of that second; fewer cannot agree
 # Limits of the frames, and of their bytes, that are read of a recording before the first one is given out.
-HELD, MAX_BYTES = 50, 192 * 2**20
+HELD, MAX_BYTES = 50, 192 * MIB
 KEPT = 8  # results whose images stay available to `image_of`
 TOUCH_NOTHING = "Touch nothing: the starter's calibration needs the gel at rest."
 

@@ -23,6 +23,7 @@ from gelform._native import Kernel
 from gelform.arrays import Array, Map, Mask, Numbers, Slopes
 from gelform.foundations.checks import check_values, check_within
 from gelform.foundations.information import determined_by
+from gelform.slopes.color_models.polynomial import RIDGES as POLYNOMIAL_RIDGES
 from gelform.slopes.color_models.seam import (
     ORDER_GROWTH,
     Samples,
@@ -40,7 +41,7 @@ from gelform.slopes.color_models.seam import (
 # Units that make all terms about 1: the RMS of the normal's first two components in contacts, and a usual depth, px.
 NORMAL_UNIT, DEPTH_UNIT_PX = 0.3, 10.0
 PLACE_DEGREES = 5, 4, 3, 2  # degrees in place of terms of order 1 to 4 in the normal
-RIDGES = (3e-4, 1e-4, 3e-5, 1e-5)  # ridges that calibration tries, the stiffest first
+RIDGES = POLYNOMIAL_RIDGES[2:]  # ridges that calibration tries, the stiffest first
 # Prior of a slope with one of three channels clipped, mm/mm: a wide one. Also the longest step: a longer one explains a
 # mirrored light or dust by a slope of its color.
 CLIPPED_STEP_SIGMA = 0.3

@@ -30,6 +30,7 @@ from gelform.slopes.color_models.seam import (
     unit_position,
 )
 
+INPUTS = 5  # color change and place
 BLOCK_PX = 8192  # pixels at a time; the units of a layer stay in the processor's cache
 
 
@@ -81,7 +82,7 @@ class Layers:
 
     def check_reads_slopes(self) -> None:
         """Raise a ValueError unless it makes two numbers from three colors and a place."""
-        if (self.inputs, self.outputs) != (5, 2):
+        if (self.inputs, self.outputs) != (INPUTS, 2):
             raise ValueError(
                 f"Expected a network of 5 inputs and 2 outputs, got {self.inputs} and {self.outputs}."
             )
@@ -193,7 +194,7 @@ class NetworkModel(Stored):
 
     def _prepared(self, rest: Array, x: Array, y: Array) -> PreparedNetwork:
         height, width = self.background.shape[:2]
-        inputs = np.zeros((5, len(x)), dtype=np.float32)
+        inputs = np.zeros((INPUTS, len(x)), dtype=np.float32)
         inputs[:3] = rest[:, ::-1].T / np.float32(255)
         if self.position != "zeros":
             place = x / width, y / height
@@ -265,7 +266,7 @@ class MlpModel(Stored, Untuned):
         return self._prepared(*pixel_positions(shape).T)
 
     def _prepared(self, x_px: Array, y_px: Array) -> PreparedNetwork:
-        inputs = np.zeros((5, len(x_px)), dtype=np.float32)
+        inputs = np.zeros((INPUTS, len(x_px)), dtype=np.float32)
         inputs[3:] = unit_position(x_px, y_px, self.shape)
         return PreparedNetwork(self.layers, inputs, (0, 1, 2), 1 / self.change_scale)
 

@@ -327,7 +327,8 @@ def _start(samples: Samples, channel: int, response: float) -> list[float]:
     design = np.stack([-p, -q, p * x + q * y], axis=1)
     a, b, inverse_height = robust_ridge(design, target, samples.weight, ridge=1e-6, huber=HUBER_SLOPE)[:, 0]
     height = 1 / np.clip(inverse_height, 0.2, 5.0)
-    return [*np.clip([a * height, b * height], -0.9 * FARTHEST, 0.9 * FARTHEST), float(height)]
+    inner = 0.9 * FARTHEST
+    return [*np.clip([a * height, b * height], -inner, inner), float(height)]
 
 
 def _problem(

@@ -178,8 +178,8 @@ class HierarchicalModel(Stored):
         cls,
         samples: Samples,
         *,
-        position_degrees: tuple[int, ...] = (5, 4, 3),
-        ridge: float = 3e-4,
+        position_degrees: tuple[int, ...] = DEGREES[-1][0],
+        ridge: float = RIDGES[2],
         start: HierarchicalModel | None = None,
     ) -> HierarchicalModel:
         """Penalized least squares; of samples with `background`, the light at each place is used too.

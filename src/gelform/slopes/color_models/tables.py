@@ -27,6 +27,7 @@ from gelform.image.view import pixel_positions
 from gelform.slopes.color_models.networks import blocks_of
 from gelform.slopes.color_models.seam import (
     HUBER_SLOPE,
+    MAX_SAMPLES,
     Samples,
     Stored,
     Untuned,
@@ -146,7 +147,7 @@ class LookupModel(Stored, Untuned):
         change = np.asarray(samples.color_change, dtype=np.float64)
         # The table spans nearly all of the samples' color change, with a node at no change.
         lowest, highest = np.percentile(change, (0.2, 99.8), axis=0)
-        lowest, highest = np.minimum(lowest, -0.02), np.maximum(highest, 0.02)
+        lowest, highest = np.minimum(lowest, -LEAST_CHANGE), np.maximum(highest, LEAST_CHANGE)
         step = (highest - lowest) / (nodes - 2)
         low = -np.ceil(-lowest / step) * step
         sizes = (*positions, nodes, nodes, nodes)
@@ -272,7 +273,8 @@ def _deviation(
 
 
 NEIGHBORS = 16  # neighbors of a pixel: five times the unknowns of its line
-CHUNK = 20_000  # pixels at a time, to limit memory
+LEAST_CHANGE = 0.02  # a table spans at least this change either way
+CHUNK = MAX_SAMPLES  # pixels at a time, to limit memory
 
 
 @dataclass(frozen=True, eq=False)
