@@ -150,7 +150,7 @@ SIZES = {
     "column_jumps": lambda s: {"w": (w := s["w"] + 8), "n": 3 * (w - 1) + 2 * ((w - 1) // 8)},
     "contact_outline": window(2, 2), "pressure_means": window(5, 6),
     "cosine_rows": cosines, "dct_product": stride, "dct_right_side": stride, "dct_sweep": stride,
-    "depth_errors": lambda s: {"row_ends": s["r"] + 1, "column_ends": s["c"] + 1, "maps": 9, "n": 9 * s["w"]},
+    "depth_errors": lambda s: {"row_ends": s["r"] + 1, "column_ends": s["c"] + 1, "maps": 10, "n": 10 * s["w"]},
     "distance_to_chosen": lambda s: {"n": (s["h"] + 2) * (s["w"] + 2)},
     "fit_light": lambda s: {"m": 14 * s["n"], "rounds": s["rounds"] % 4 + 1},
     "follow_patches": lambda s: {"side": (side := s["pixels"] % 9 + 1), "pixels": side**2},
@@ -167,7 +167,7 @@ SIZES = {
     "polynomial_gradients": lambda s: {"n": 6 * up(s["w"])},
     "rasterise": lambda s: {"count": s["count"] + 3},
     "rest_hold": lambda s: {"n": 9 * s["h"] * half(s["w"]) + 4 * s["h"] * s["w"]},
-    "spread_over_chosen": lambda s: {"n": 4 * s["w"]},
+    "root_at_pixels": lambda s: {"n": 4 * s["w"]}, "spread_over_chosen": lambda s: {"n": 4 * s["w"]},
 }  # fmt: skip
 
 

@@ -1,5 +1,5 @@
-// Means of maps over square cells: the coarse grid of a frame.
-#include "../common.h"
+// Means of maps over square cells, the coarse grid of a frame; and a variance on it at every pixel again.
+#include "../bilinear.h"
 
 enum { SIDE = 4, CHANNELS = 3 };  // of a cell, px; the most channels of a map
 
@@ -35,5 +35,23 @@ EXPORT int cell_shares(const bool *mask, float *cells, ptrdiff_t h, ptrdiff_t w,
         for (ptrdiff_t x = 0; x < SIDE; x++) count += mask[(SIDE * i + y) * w + SIDE * j + x];
       cells[i * k + j] = (float)count / (SIDE * SIDE);
     }
+  return OK;
+}
+
+// The root of a variance (r, c) at every pixel, bilinearly; `most` where it is larger, and at lost pixels. `lost`:
+// NULL where there are none.
+EXPORT int root_at_pixels(const float *variance, const bool *lost, float *work, float *sigma, float most, ptrdiff_t r, ptrdiff_t c,
+                          ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
+  const double down = (double)r / (double)h;
+  float fraction;
+  if (n < 4 * w) return WRONG_SIZE;
+  struct rows_between rows = {variance, r, c, w, -1, (int32_t *)work, work + w, work + 2 * w, work + 3 * w};
+  places_in_row(w, (double)c / (double)w, c, (int32_t *)work, work + w);
+  for (ptrdiff_t y = 0; y < h; y++) {
+    float *restrict out = sigma + y * w;
+    hold_rows(&rows, between(y, down, r, &fraction));
+    for (ptrdiff_t x = 0; x < w; x++) out[x] = smaller(sqrtf(rows.upper[x] + fraction * (rows.lower[x] - rows.upper[x])), most);
+    for (ptrdiff_t x = 0; lost != NULL && x < w; x++) out[x] = lost[y * w + x] ? most : out[x];
+  }
   return OK;
 }

@@ -23,6 +23,9 @@ COARSER = 4  # times fewer rows and columns; the same in native/depth/coarse.c
 
 _cell_means = Kernel("cell_means", "f32[h,w,c] values, out f32[n] work, out f32[r,k,c] cells")
 _cell_shares = Kernel("cell_shares", "bool[h,w] mask, out f32[r,k] cells")
+_root_at_pixels = Kernel(
+    "root_at_pixels", "f32[r,c] variance, bool[h,w]? lost, out f32[n] work, out f32[h,w] sigma, f32 most"
+)
 
 
 class Coarse:
@@ -57,6 +60,22 @@ class Coarse:
     def at_pixels(self, values: Map) -> Map:
         """A map (rows, columns) at every pixel (H, W), linear between the cells' centers."""
         return np.asarray(cv2.resize(values, self._pixels, interpolation=cv2.INTER_LINEAR))
+
+    def root_at_pixels(self, variance: Map, most: float, lost: Mask | None = None) -> Map:
+        """The root of a variance (rows, columns) at every pixel (H, W), `most` at most, and at `lost` pixels (H, W)."""
+        width, height = self._pixels
+        sigma, work = np.empty((height, width), np.float32), np.empty(4 * width, np.float32)
+        _root_at_pixels(variance, lost, work, sigma, most)
+        return sigma
+
+    def at_pixel(self, values: Map, place: tuple[int, int]) -> float:
+        """A map (rows, columns) at one pixel (y, x), as `at_pixels`."""
+        for at, pixels in zip(place, self._pixels[::-1]):
+            middle = (at + 0.5) * len(values) / pixels - 0.5
+            first = min(max(int(middle), 0), len(values) - 2)
+            share = min(max(middle - first, 0.0), 1.0)
+            values = (1 - share) * values[first] + share * values[first + 1]
+        return float(values)
 
 
 @lru_cache(maxsize=16)
