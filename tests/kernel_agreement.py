@@ -174,7 +174,7 @@ SIZES = {
     "polynomial_gradients": lambda s: {"n": 6 * up(s["w"])},
     "pressed_regions": pressed, "rasterise": lambda s: {"count": s["count"] + 3},
     "rest_hold": lambda s: {"n": 9 * s["h"] * half(s["w"]) + 4 * s["h"] * s["w"]},
-    "root_at_pixels": lambda s: {"n": 4 * s["w"]}, "spread_over_chosen": lambda s: {"n": 4 * s["w"]},
+    "slopes_over_rest": lambda s: {"n": 3 * s["r"] * s["k"]}, "root_at_pixels": lambda s: {"n": 4 * s["w"]}, "spread_over_chosen": lambda s: {"n": 4 * s["w"]},
 }  # fmt: skip
 
 

@@ -1,5 +1,6 @@
 // Means of maps over square cells, the coarse grid of a frame; and a variance on it at every pixel again.
 #include "../bilinear.h"
+#include "../select.h"
 
 enum { SIDE = 4, CHANNELS = 3 };  // of a cell, px; the most channels of a map
 
@@ -35,6 +36,36 @@ EXPORT int cell_shares(const bool *mask, float *cells, ptrdiff_t h, ptrdiff_t w,
         for (ptrdiff_t x = 0; x < SIDE; x++) count += mask[(SIDE * i + y) * w + SIDE * j + x];
       cells[i * k + j] = (float)count / (SIDE * SIDE);
     }
+  return OK;
+}
+
+// Takes the median of some values `c` apart off each of them: of those at rest, or of all where `rest` is NULL. `work`: 2 n.
+static void take_median_off(float *values, const bool *rest, float *work, ptrdiff_t n, ptrdiff_t c) {
+  ptrdiff_t count = 0;
+  for (ptrdiff_t i = 0; i < n; i++) {
+    work[count] = values[i * c];
+    count += rest == NULL || rest[i];
+  }
+  const float middle = count > 0 ? median(work, count, (uint32_t *)(work + n)) : 0;
+  for (ptrdiff_t i = 0; i < n; i++) values[i * c] -= middle;
+}
+
+// Cells at rest: those whose change, without what all have in common, has a square up to `most`, but `share` of them at least. What
+// the slopes at rest have in common is taken off all slopes.
+EXPORT int slopes_over_rest(float *change, float *slopes, bool *rest, float *work, float most, double share, ptrdiff_t r, ptrdiff_t k,
+                            ptrdiff_t n) {
+  const ptrdiff_t cells = r * k;
+  ptrdiff_t count = 0;
+  if (n < 3 * cells || cells < 1 || !(share >= 0 && share <= 1)) return WRONG_SIZE;
+  for (int c = 0; c < CHANNELS; c++) take_median_off(change + c, NULL, work, cells, CHANNELS);
+  float *square = work + 2 * cells;
+  for (ptrdiff_t i = 0; i < cells; i++)
+    square[i] = (square_of(change[3 * i]) + square_of(change[3 * i + 1])) + square_of(change[3 * i + 2]);
+  for (ptrdiff_t i = 0; i < cells; i++) count += square[i] <= most;
+  if ((double)count < share * (double)cells)
+    most = kth_smallest(square, cells, (ptrdiff_t)(share * (double)(cells - 1)), (uint32_t *)work);
+  for (ptrdiff_t i = 0; i < cells; i++) rest[i] = square[i] <= most;
+  for (int c = 0; c < 2; c++) take_median_off(slopes + c, rest, work, cells, 2);
   return OK;
 }
 

@@ -244,6 +244,20 @@ def test_the_kernel_agrees_with_numpy():
     assert_kernel_agrees(sigma._depth_errors, numpy_errors)
 
 
+def test_cells_at_rest_agree_with_numpy():
+    """At least a share of them, those with the least change, is at rest."""
+
+    def by_numpy(change, slopes, rest, work, most, share):
+        change = change - np.median(change, axis=(0, 1))
+        square = (change.astype(float) ** 2).sum(-1)
+        rest = square <= most
+        if rest.sum() < share * rest.size:
+            rest = square <= np.quantile(square, share, method="lower")
+        return change, slopes - np.median(slopes[rest], axis=0), rest
+
+    assert_kernel_agrees(coarse_module._slopes_over_rest, by_numpy)
+
+
 def test_a_variance_on_the_grid_is_a_deviation_at_every_pixel():
     """As OpenCV maps it, at any size, and at one pixel alone."""
 

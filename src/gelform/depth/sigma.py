@@ -91,8 +91,7 @@ class DepthSigma:
         anywhere, of_contact, below, free = self._filter(cells[:4])
         own = below / np.maximum(free, np.float32(LEAST_FREE))
         of_frame = cells[2].mean() / max(cells[3].mean(), np.float32(LEAST_FREE))
-        negative = cells[2][cells[2] > 0] / 2
-        usual = np.float32(SIGMA_OF_MEDIAN**2) * np.median(negative) if negative.size else np.float32(0)
+        usual = np.float32(SIGMA_OF_MEDIAN**2 / 2) * medians_where(cells[2][..., None], cells[2] > 0)[0][0]
         least = np.float32(1e-14)  # mm^2; the filter rounds
         anywhere, of_contact = (np.maximum(m * self._beside_border, least) for m in (anywhere, of_contact))
         numbers = own, of_frame, min(usual, of_frame), cells[4:], self._mm_per_px, self.numbers["gain"]
