@@ -174,7 +174,8 @@ SIZES = {
     "polynomial_gradients": lambda s: {"n": 6 * up(s["w"])},
     "pressed_regions": pressed, "rasterise": lambda s: {"count": s["count"] + 3},
     "rest_hold": lambda s: {"n": 9 * s["h"] * half(s["w"]) + 4 * s["h"] * s["w"]},
-    "slopes_over_rest": lambda s: {"n": 3 * s["r"] * s["k"]}, "root_at_pixels": lambda s: {"n": 4 * s["w"]}, "spread_over_chosen": lambda s: {"n": 4 * s["w"]},
+    "slopes_over_rest": lambda s: {"n": 3 * s["r"] * s["k"]}, "root_at_pixels": lambda s: {"n": 4 * s["w"]},
+    "spread_over_chosen": lambda s: {"n": 4 * s["w"]},
 }  # fmt: skip
 
 
@@ -235,7 +236,8 @@ VALUES = {
     "scale_weights anchor": lambda *of: np.maximum(SIGNED(*of), 0), "floor": real(1e-6, 0.1),
     "contact_outline pressure": lambda rng, shape, s: rng.normal(0, 9, shape).clip(0) * some(rng, (shape[0], 1), s),
     "sure_pressure slopes": real(0.05, 1), "pressure_means slopes": real(0.05, 1),
-    "slope_budget light": real(0, 1), "pressed_regions depth": lambda *of: 9 * SIGNED(*of) ** 9, "factor": real(0.5, 1), "vertices": real(-1, 40),
+    "slope_budget light": real(0, 1),
+    "pressed_regions depth": lambda *of: 9 * SIGNED(*of) ** 9, "factor": real(0.5, 1), "vertices": real(-1, 40),
     "dct_sweep splits": whole(1, "w"), "gray_levels curve": real(0, 300),
 }  # fmt: skip
 EITHER = {

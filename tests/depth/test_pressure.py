@@ -33,8 +33,8 @@ PRESSURE_MEANS = Kernel(
 )
 SURE_PRESSURE = Kernel(
     "sure_pressure",
-    "f32[...] pressure, f32[...] mean, f32[...] spread, f32[...] sigma, f32[...] slopes, f32[...] noise, bool[...]? at_rest, "
-    "bool[...]? known, out f32[...] sure, out f32[...] evidence, f32 stiffness, f32 factor, f32 mean_gain_at_rest, "
+    "f32[...] pressure, f32[...] mean, f32[...] spread, f32[...] sigma, f32[...] slopes, f32[...] noise, "
+    "bool[...]? at_rest, bool[...]? known, out f32[...] sure, out f32[...] evidence, f32 stiffness, f32 factor, f32 mean_gain_at_rest, "
     "f32 mean_gain_elsewhere, f32 gain_at_rest, f32 gain_elsewhere",
 )
 CONTACT_OUTLINE = Kernel(
@@ -327,7 +327,11 @@ def test_the_sure_pressure_agrees_with_numpy():
         rest = np.ones(mean.shape, bool) if rest is None else rest
         of_mean, of_one = np.where(rest, mean_rest, mean_else), np.where(rest, one_rest, one_else)
         variance = slopes * of_mean + bed
-        counts = (True if known is None else known) & (mean > np.sqrt(variance)) & (mean > factor * np.sqrt(noise * mean_rest))
+        counts = (
+            (True if known is None else known)
+            & (mean > np.sqrt(variance))
+            & (mean > factor * np.sqrt(noise * mean_rest))
+        )
         counts &= q**2 > slopes * (own**2 * of_one + (1 - own) ** 2 * of_mean) + bed
         counts &= q > factor * np.sqrt(noise * (own**2 * one_rest + (1 - own) ** 2 * mean_rest))
         return np.where(counts, q, 0), mean**2 / variance
@@ -375,9 +379,7 @@ def test_unknown_pixels_are_as_the_nearest_known_one(shape):
     pressed = (ndimage.gaussian_filter(rng.normal(size=shape), 2) > 0) & known
     contact, flat = np.empty(shape, bool), np.zeros(shape, np.float32)
     work = np.empty(runs_work(shape), np.int32)
-    HELD_OUTLINE(
-        pressed, np.zeros(shape, bool), known, flat, flat, flat - 1, contact, work, 1.0, 0.5, 2.4
-    )
+    HELD_OUTLINE(pressed, np.zeros(shape, bool), known, flat, flat, flat - 1, contact, work, 1.0, 0.5, 2.4)
     y, x = np.indices(shape)
 
     def far(chosen: np.ndarray) -> np.ndarray:
@@ -429,7 +431,19 @@ def test_the_regions_are_those_of_the_steps_by_themselves(knows, shape):
             gains += 2 * [max(2.595 * float(found[0]), 1e-3) ** 2]
     rest, again = at_rest if knows else None, np.empty(shape, np.float32)
     SURE_PRESSURE(
-        pressure, mean, spread, sigma, around, sensor._noise, rest, known, sure, again, stiffness, factor, *gains
+        pressure,
+        mean,
+        spread,
+        sigma,
+        around,
+        sensor._noise,
+        rest,
+        known,
+        sure,
+        again,
+        stiffness,
+        factor,
+        *gains,
     )
     outline, contact = np.empty((2, *shape), bool)
     CONTACT_OUTLINE(sure, outline, work, 2 / 3)

@@ -234,7 +234,8 @@ def numpy_errors(
     maps = [
         np.where(at_rest, noise, np.minimum(spill**2 * square, 2 * full**2)),
         np.where(at_rest, rest_share * noise, np.minimum(of_contact**2 * square, 2 * np.minimum(2 * read, full) ** 2)),
-        2 * low**2 * known, (at_rest | (low < 0)) & known, depth, *np.moveaxis(added, -1, 0), *np.moveaxis(alone, -1, 0), at_rest,
+        2 * low**2 * known, (at_rest | (low < 0)) & known, depth, *np.moveaxis(added, -1, 0),
+        *np.moveaxis(alone, -1, 0), at_rest,
     ]  # fmt: skip
     cells = [[[one[a:b, c:d] for c, d in pairwise(columns)] for a, b in pairwise(rows)] for one in maps]
     return np.array([[[cell.sum() / max(cell.size, 1) for cell in row] for row in one] for one in cells])

@@ -547,7 +547,7 @@ def _margin(shape: tuple[int, ...]) -> int:
 
 def _gains(
     pitch: tuple[float, float],
-    smoothings: Sequence[float],
+    smoothings: Floats,
     correlation_px: float,
     correlated_share: float,
     rest_correlation_px: float,

@@ -20,7 +20,7 @@ from gelform.arrays import Array, Floats, Map, Mask, Slopes
 from gelform.depth.coarse import Coarse, coarse_of
 from gelform.depth.solvers.dct import CosineFilter
 from gelform.errors import ConvergenceError, Finding
-from gelform.foundations.filters import SIGMA_OF_MEDIAN, bessel_k
+from gelform.foundations.filters import SIGMA_OF_MEDIAN, bessel_k, medians_where
 
 # Parts of the image's height: the influence's length L, and the standard deviation of the window for negative depths. Depth
 # off contact is covered alike with half and twice of either, on twelve real sets.
@@ -111,8 +111,8 @@ class DepthErrors:
     own: Map  # twice the mean square of negative depths around, mm^2
     own_of_frame: np.float32  # the same in the whole frame
     usual_of_frame: np.float32  # the same by the median of negative depths, which a valley does not move
-    # (6, r, c), the depth, what steep faces add to slopes that are off in proportion (p, q), slopes of steep faces that may be
-    # missing (p, q), and the share of pixels at rest
+    # (6, r, c), the depth, what steep faces add to slopes that are off in proportion (p, q), slopes of steep faces that
+    # may be missing (p, q), and the share of pixels at rest
     means: Map = field(repr=False)
     mm_per_px: np.float32
     gain_sigma: float

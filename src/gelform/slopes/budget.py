@@ -60,8 +60,8 @@ _slope_budget = Kernel(
     "slope_budget",
     "f32[h,w,2] gradients, bool[h,w] at_rest, f32[h,w] rest, f32[h,w]? of_step, f32[h,w]? of_model, f32[h,w]? residual, "
     "bool[h,w]? unseen, f32[h,w] gain, f32[h,w]? light, out f32[h,w] read, out f32[h,w] solved, out f32[h,w] steep, "
-    "out f32[h,w] whole, out f32[h,w] confidence, out f32[h,w]? walls, out f32[h,w]? outliers, f32 per_step, f32 per_size, f32 solved_factor, "
-    "f32 unknown, f32 outlier, f32 unseen_sigma, f32 full, f32 noise, f32 per_bend, "
+    "out f32[h,w] whole, out f32[h,w] confidence, out f32[h,w]? walls, out f32[h,w]? outliers, f32 per_step, "
+    "f32 per_size, f32 solved_factor, f32 unknown, f32 outlier, f32 unseen_sigma, f32 full, f32 noise, f32 per_bend, "
     "f32 bend_from, f32 spread, f32 shown, f32 per_excess, f32 doubted, f32 steepest, f32 carried, "
     "f32 ball_x, f32 ball_y, f32 ball_radius, f32 of_ball, i32 reach",
 )
