@@ -136,6 +136,13 @@ def bent(s):
     return {"t": t, "n": work, "margin": s["n"] % half(min(s["h"], s["w"]))}
 
 
+def pressed(s):
+    """Eight maps, and the work of the step that takes the most."""
+    sizes = bent(s)
+    sums, sample = window(5, 6)(s)["n"], 2 * -(-s["h"] * s["w"] // s["step"])
+    return {**sizes, "n": 8 * s["h"] * s["w"] + max(sums, sample, sizes["n"])}
+
+
 def cosines(s):
     n = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 15, 18, 20, 21][s["half"] % 16]
     return {"half": n, "stride": 2 * n + s["stride"] % 3, "knots": n + 1, "n": (6 * n + 1) * LANES}
@@ -150,7 +157,7 @@ SIZES = {
     "column_jumps": lambda s: {"w": (w := s["w"] + 8), "n": 3 * (w - 1) + 2 * ((w - 1) // 8)},
     "contact_outline": window(2, 2), "pressure_means": window(5, 6),
     "cosine_rows": cosines, "dct_product": stride, "dct_right_side": stride, "dct_sweep": stride,
-    "depth_errors": lambda s: {"row_ends": s["r"] + 1, "column_ends": s["c"] + 1, "maps": 9, "n": 9 * s["w"]},
+    "depth_errors": lambda s: {"row_ends": s["r"] + 1, "column_ends": s["c"] + 1, "maps": 10, "n": 10 * s["w"]},
     "distance_to_chosen": lambda s: {"n": (s["h"] + 2) * (s["w"] + 2)},
     "fit_light": lambda s: {"m": 14 * s["n"], "rounds": s["rounds"] % 4 + 1},
     "follow_patches": lambda s: {"side": (side := s["pixels"] % 9 + 1), "pixels": side**2},
@@ -165,8 +172,9 @@ SIZES = {
     "means_of_bytes": lambda s: {"h": s["bh"] * s["step"], "w": (w := s["bw"] * s["step"]), "n": 3 * w},
     "motion_rows": lambda s: {"h": s["h"] + 1, "w": s["w"] + 1}, "png_rows": lambda s: {"n": (n := 3 * s["n"]), "r": n + 1},
     "polynomial_gradients": lambda s: {"n": 6 * up(s["w"])},
-    "rasterise": lambda s: {"count": s["count"] + 3},
+    "pressed_regions": pressed, "rasterise": lambda s: {"count": s["count"] + 3},
     "rest_hold": lambda s: {"n": 9 * s["h"] * half(s["w"]) + 4 * s["h"] * s["w"]},
+    "slopes_over_rest": lambda s: {"n": 3 * s["r"] * s["k"]}, "root_at_pixels": lambda s: {"n": 4 * s["w"]},
     "spread_over_chosen": lambda s: {"n": 4 * s["w"]},
 }  # fmt: skip
 
@@ -228,7 +236,8 @@ VALUES = {
     "scale_weights anchor": lambda *of: np.maximum(SIGNED(*of), 0), "floor": real(1e-6, 0.1),
     "contact_outline pressure": lambda rng, shape, s: rng.normal(0, 9, shape).clip(0) * some(rng, (shape[0], 1), s),
     "sure_pressure slopes": real(0.05, 1), "pressure_means slopes": real(0.05, 1),
-    "slope_budget light": real(0, 1), "vertices": real(-1, 40),
+    "slope_budget light": real(0, 1),
+    "pressed_regions depth": lambda *of: 9 * SIGNED(*of) ** 9, "factor": real(0.5, 1), "vertices": real(-1, 40),
     "dct_sweep splits": whole(1, "w"), "gray_levels curve": real(0, 300),
 }  # fmt: skip
 EITHER = {

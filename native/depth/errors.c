@@ -2,8 +2,9 @@
 #include "../common.h"
 
 // Maps that are summed: squared slopes that are errors, the same for contacts, squared negative depths and where they count,
-// slopes that may be missing (p, q) in all and of steep faces alone, and pixels at rest.
-enum { ERRORS, OF_CONTACT, BELOW_ZERO, FREE, COMMON_P, COMMON_Q, STEEP_P, STEEP_Q, AT_REST, MAPS };
+// depths, what steep faces add to slopes that are off in proportion (p, q), slopes of steep faces that may be missing (p, q), and
+// pixels at rest.
+enum { ERRORS, OF_CONTACT, BELOW_ZERO, FREE, DEPTH, ADDED_P, ADDED_Q, STEEP_P, STEEP_Q, AT_REST, MAPS };
 
 struct numbers {
   float full, spill, rest_share, spill_of_contact, gain, doubted;
@@ -13,8 +14,8 @@ static inline void add_row(const struct numbers *restrict n, const float *restri
                            const bool *restrict at_rest, const bool *restrict known, const float *restrict read,
                            const float *restrict steep, float *restrict sums, ptrdiff_t w) {
   const float most = 2 * square_of(n->full), gain = square_of(n->gain), doubted = square_of(n->doubted);
-  float *errors = sums, *of_contact = sums + w, *below = sums + 2 * w, *free = sums + 3 * w, *common_p = sums + 4 * w,
-        *common_q = sums + 5 * w, *steep_p = sums + 6 * w, *steep_q = sums + 7 * w, *rest = sums + 8 * w;
+  float *errors = sums, *of_contact = sums + w, *below = sums + 2 * w, *free = sums + 3 * w, *all = sums + 4 * w,
+        *added_p = sums + 5 * w, *added_q = sums + 6 * w, *steep_p = sums + 7 * w, *steep_q = sums + 8 * w, *rest = sums + 9 * w;
   INDEPENDENT
   for (ptrdiff_t x = 0; x < w; x++) {
     const float p = slopes[2 * x], q = slopes[2 * x + 1], square = p * p + q * q;
@@ -26,12 +27,12 @@ static inline void add_row(const struct numbers *restrict n, const float *restri
     const float low = smaller(depth[x], 0), counts = known[x] ? 1 : 0;  // what was filled in is no error of the frame
     below[x] += counts * 2 * low * low;
     free[x] += counts * larger(resting, low < 0 ? 1 : 0);
-    rest[x] += resting;
+    all[x] += depth[x], rest[x] += resting;
     const float each = steep[x] * steep[x], doubt = each > doubted ? each : 0;
-    const float per_slope = 1 / sqrtf(larger(square, 1e-12f));
-    const float common = sqrtf(gain * square + doubt) * per_slope, alone = sqrtf(doubt) * per_slope;
-    common_p[x] += common * p, common_q[x] += common * q;
-    steep_p[x] += alone * p, steep_q[x] += alone * q;
+    const float per_slope = 1 / sqrtf(larger(square, 1e-12f)), missing = sqrtf(doubt) * per_slope;
+    const float added = (sqrtf(gain * square + doubt) - sqrtf(gain * square)) * per_slope;
+    added_p[x] += added * p, added_q[x] += added * q;
+    steep_p[x] += missing * p, steep_q[x] += missing * q;
   }
 }
 

@@ -205,18 +205,19 @@ class FrameRecord:
     @once
     def depth_sigma_mm(self) -> Map | None:
         """Standard deviation (H, W) of the depth, mm."""
-        errors = self.depth_errors
-        return None if errors is None else self._widened(errors.sigma(self.fixed.limit.ignorance_mm))
+        return self._sigma("stated")
+
+    def _sigma(self, purpose: Purpose) -> Map | None:
+        """The depth's deviation (H, W) for a purpose, mm, if it is known; nothing is known of lost pixels."""
+        errors, lost = self.depth_errors, self.seen.faults.lost
+        return None if errors is None else errors.sigma(self.fixed.limit.ignorance_mm, purpose, lost)
 
     @once
     def contact(self) -> Mask:
         """Where something touches (H, W)."""
-        errors, most = self.depth_errors, self.fixed.limit.ignorance_mm
-        if errors is None:
-            return self.today.contact(*self.touch)
-        purposes: tuple[Purpose, ...] = "outline", "deepest"
-        of_frame = (self._widened(errors.sigma(most, purpose)) for purpose in purposes)
-        return self.today.contact(*self.touch, *of_frame)
+        return self.today.contact(
+            *self.touch, own_sigma=self._sigma("outline"), deepest_sigma=self._sigma("deepest")
+        )
 
     @once
     def touch(self) -> tuple[Map, Any, SlopeDeviations | None, Mask]:
@@ -225,11 +226,10 @@ class FrameRecord:
 
     def _touch(self, purpose: Purpose) -> tuple[Map, Any, SlopeDeviations | None, Mask]:
         """Depth, its deviation for a purpose, those of the slopes, and known pixels (H, W)."""
-        errors, deviations = self.depth_errors, None
+        deviations = None
         if self.fixed.known is not None:
             deviations = SlopeDeviations(self.budget.read, self.budget.solved, self.slopes.at_rest)
-        sigma = None if errors is None else errors.sigma(self.fixed.limit.ignorance_mm, purpose)
-        return self.depth_mm, self._widened(sigma), deviations, self.known
+        return self.depth_mm, self._sigma(purpose), deviations, self.known
 
     @once
     def health(self) -> tuple[Finding, ...]:
@@ -287,17 +287,6 @@ class FrameRecord:
         maps = errors.coarse_variance[np.newaxis], errors.common_mm[np.newaxis]
         blur_px = self.fixed.calibration.change.blur_px
         return ShapeErrors(*maps, sigma.gain_sigma, sigma.correlation_px, sigma.correlated_share, blur_px)
-
-    @property
-    def _widened(self) -> Callable[[Any], Any]:
-        return partial(_widened, self.seen.faults.lost, self.fixed.limit.ignorance_mm)
-
-
-def _widened(lost: Mask | None, ignorance_mm: float, sigma: Any) -> Any:
-    """A standard deviation of depth (H, W), or None, that knows nothing of lost pixels."""
-    if sigma is not None and lost is not None:
-        np.maximum(sigma, np.float32(ignorance_mm), out=sigma, where=lost)
-    return sigma
 
 
 class Reconstructor:

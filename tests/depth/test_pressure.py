@@ -1,14 +1,50 @@
 """Contact of analytic ball presses: where it is known, how noise, specks and the frame's border act on it."""
 
+import cv2
 import numpy as np
 import pytest
 from scipy import ndimage
 from scipy.special import k0
 
 import gelform
+from gelform._native import Kernel
 from gelform.depth import contact as pressure_module
 from gelform.depth.contact import PreparedContact, SlopeDeviations, contact_from_depth, runs_work
 from kernel_agreement import assert_kernel_agrees, drawn
+
+# The steps of `pressed_regions`, each by itself.
+BENT_SURFACE = Kernel(
+    "bent_surface",
+    "f32[h,w] depth, f32[t] taps, out f32[h,w] smooth, out f32[h,w] bent, out f32[n] work, f32 along_x, f32 along_y, "
+    "i64 margin",
+)
+MAGNITUDE_OF_SHARE = Kernel(
+    "magnitude_of_share",
+    "f32[...] values, f32[...] units, bool[...]? chosen, out f32[n] work, out f32[1] magnitude, i64 step, f64 share",
+)
+SLOPE_VARIANCE = Kernel(
+    "slope_variance", "f32[...] read, f32[...] solved, bool[...] at_rest, out f32[...] variance"
+)
+PRESSURE_MEANS = Kernel(
+    "pressure_means",
+    "f32[h,w] smooth, f32[h,w] bent, f32[h,w] sigma, f32[h,w] slopes, bool[h,w]? known, out f32[h,w] pressure, "
+    "out f32[h,w] mean, out f32[h,w] spread, out f32[h,w] variance, out f32[h,w] mean_bent, out f32[n] work, f32 stiffness, "
+    "f32 sigmas",
+)
+SURE_PRESSURE = Kernel(
+    "sure_pressure",
+    "f32[...] pressure, f32[...] mean, f32[...] spread, f32[...] sigma, f32[...] slopes, f32[...] noise, "
+    "bool[...]? at_rest, bool[...]? known, out f32[...] sure, out f32[...] evidence, f32 stiffness, f32 factor, f32 mean_gain_at_rest, "
+    "f32 mean_gain_elsewhere, f32 gain_at_rest, f32 gain_elsewhere",
+)
+CONTACT_OUTLINE = Kernel(
+    "contact_outline", "f32[h,w] pressure, out bool[h,w] contact, out f32[n] work, f32 share"
+)
+HELD_OUTLINE = Kernel(
+    "held_outline",
+    "bool[h,w] outline, bool[h,w] closed, bool[h,w]? known, f32[h,w] mean, f32[h,w] smooth, f32[h,w] bent, "
+    "out bool[h,w] contact, out i32[n] work, f32 stiffness, f32 share, f32 reach",
+)
 
 PITCH = 0.0634
 CORRELATION = {
@@ -246,7 +282,7 @@ def test_bending_agrees_with_numpy():
         y, x = (np.clip(np.arange(n), margin, n - 1 - margin) for n in smooth.shape)
         return smooth, bent[np.ix_(y, x)]
 
-    assert_kernel_agrees(pressure_module._bent_surface, by_numpy)
+    assert_kernel_agrees(BENT_SURFACE, by_numpy)
 
 
 def test_noise_agrees_with_numpy():
@@ -257,7 +293,7 @@ def test_noise_agrees_with_numpy():
         sample = np.sort((np.abs(values) / np.sqrt(units)).ravel()[::step][taken])
         return sample[[int(share * (sample.size - 1))]] if sample.size else np.zeros(1)
 
-    assert_kernel_agrees(pressure_module._magnitude_of_share, of_share)
+    assert_kernel_agrees(MAGNITUDE_OF_SHARE, of_share)
 
 
 def around(values):
@@ -279,7 +315,7 @@ def test_means_of_the_pressure_agree_with_numpy():
         lost = around(np.ones(seen.shape)) / np.maximum(around(seen), 1)
         return pressure, mean, np.maximum(square - mean**2, 0), slopes * lost**2, bent
 
-    assert_kernel_agrees(pressure_module._pressure_means, by_numpy)
+    assert_kernel_agrees(PRESSURE_MEANS, by_numpy)
 
 
 def test_the_sure_pressure_agrees_with_numpy():
@@ -288,16 +324,21 @@ def test_the_sure_pressure_agrees_with_numpy():
         bed, mean = (stiffness * sigma.astype(float)) ** 2, np.maximum(mean, 0)
         own = np.maximum(1 - 2 * noise * one_rest / np.maximum(spread, 1e-30), 0)
         q = np.maximum(mean + own * (pressure - mean), 0)
+        rest = np.ones(mean.shape, bool) if rest is None else rest
         of_mean, of_one = np.where(rest, mean_rest, mean_else), np.where(rest, one_rest, one_else)
         variance = slopes * of_mean + bed
-        counts = known & (mean > np.sqrt(variance)) & (mean > factor * np.sqrt(noise * mean_rest))
+        counts = (
+            (True if known is None else known)
+            & (mean > np.sqrt(variance))
+            & (mean > factor * np.sqrt(noise * mean_rest))
+        )
         counts &= q**2 > slopes * (own**2 * of_one + (1 - own) ** 2 * of_mean) + bed
         counts &= q > factor * np.sqrt(noise * (own**2 * one_rest + (1 - own) ** 2 * mean_rest))
         return np.where(counts, q, 0), mean**2 / variance
 
-    assert_kernel_agrees(pressure_module._sure_pressure, by_numpy)
-    arguments = drawn(pressure_module._sure_pressure, np.random.default_rng(0), 1)
-    assert pressure_module._sure_pressure(*arguments) == np.count_nonzero(arguments[8]) > 0
+    assert_kernel_agrees(SURE_PRESSURE, by_numpy)
+    arguments = drawn(SURE_PRESSURE, np.random.default_rng(0), 1)
+    assert SURE_PRESSURE(*arguments) == np.count_nonzero(arguments[8]) > 0
 
 
 def test_slope_variance_agrees_with_numpy():
@@ -306,7 +347,7 @@ def test_slope_variance_agrees_with_numpy():
     def by_numpy(read, solved, rest, variance):
         return np.minimum(np.where(rest, read, solved).astype(float) ** 2, 0.3)
 
-    assert_kernel_agrees(pressure_module._slope_variance, by_numpy)
+    assert_kernel_agrees(SLOPE_VARIANCE, by_numpy)
 
 
 def test_held_outlines_agree_with_numpy():
@@ -327,7 +368,7 @@ def test_held_outlines_agree_with_numpy():
 
     work = np.empty(runs_work(outline.shape), np.int32)
     arguments = outline, closed, None, mean, smooth, bent, np.empty_like(outline), work, 0.9, 0.4, 5.0
-    assert_kernel_agrees(pressure_module._held_outline, by_numpy, *arguments)
+    assert_kernel_agrees(HELD_OUTLINE, by_numpy, *arguments)
     assert (by_numpy(*arguments) & ~outline & ~closed).any(), "no hole was filled"
 
 
@@ -338,9 +379,7 @@ def test_unknown_pixels_are_as_the_nearest_known_one(shape):
     pressed = (ndimage.gaussian_filter(rng.normal(size=shape), 2) > 0) & known
     contact, flat = np.empty(shape, bool), np.zeros(shape, np.float32)
     work = np.empty(runs_work(shape), np.int32)
-    pressure_module._held_outline(
-        pressed, np.zeros(shape, bool), known, flat, flat, flat - 1, contact, work, 1.0, 0.5, 2.4
-    )
+    HELD_OUTLINE(pressed, np.zeros(shape, bool), known, flat, flat, flat - 1, contact, work, 1.0, 0.5, 2.4)
     y, x = np.indices(shape)
 
     def far(chosen: np.ndarray) -> np.ndarray:
@@ -354,11 +393,74 @@ def test_unknown_pixels_are_as_the_nearest_known_one(shape):
     assert ((~known).any() and (contact & ~known).any()) or min(shape) == 1
 
 
+@pytest.mark.parametrize("knows", [False, True])
+@pytest.mark.parametrize("shape", [(60, 83), (61, 96)])
+def test_the_regions_are_those_of_the_steps_by_themselves(knows, shape):
+    """Rough flat faces with gaps of a pixel or two, which are closed as OpenCV closes them."""
+    rng = np.random.default_rng(3)
+    y, x = np.indices(shape)
+    faces = 0.3 * (np.hypot(y % 30 - 15, x % 30 - 15) < 11) * (x % 13 > 1)
+    depth = (faces + 0.05 * ndimage.gaussian_filter(rng.normal(size=shape), 1)).astype(np.float32)
+    known, at_rest = rng.random(shape) > 0.05, faces == 0
+    sigma, read = (np.full(shape, one, np.float32) for one in (0.01, 0.02))
+    noise = np.full(shape, 1e-3, np.float32)
+    sensor = PreparedContact((PITCH, PITCH), 0.5, noise, CORRELATION if knows else None)
+    smooth, bent, evidence, sure, variance = (np.zeros(shape, np.float32) for _ in range(5))
+    labels, work = np.zeros(shape, np.uint16), np.empty(sensor._work_size, np.float32)
+    of_slopes = (read, 2 * read, at_rest) if knows else (None, None, None)
+    count = pressure_module._pressed_regions(
+        depth, sigma, sensor._noise, *of_slopes, known, sensor._taps, sensor._gains, smooth, bent, evidence, labels, work,
+        *sensor._numbers, sensor._step,
+    )  # fmt: skip
+    stiffness, factor, reach = sensor._numbers[2:5]
+    if knows:
+        SLOPE_VARIANCE(*of_slopes, variance)
+    else:
+        variance[...] = sensor._noise
+    pressure, mean, spread, around, mean_bent = (np.empty(shape, np.float32) for _ in range(5))
+    PRESSURE_MEANS(
+        smooth, bent, sigma, variance, known, pressure, mean, spread, around, mean_bent, work, stiffness, 2.0
+    )
+    gains = []
+    for k, values in ((0, mean_bent), (2, bent)):
+        found, numbers = np.empty(1, np.float32), (sensor._step, 0.95 if knows else 0.3)
+        MAGNITUDE_OF_SHARE(values, sensor._noise, at_rest if knows else None, work, found, *numbers)
+        if knows:
+            gains += [max(sensor._gains[k], (float(found[0]) / 1.96) ** 2), sensor._gains[k + 1]]
+        else:
+            gains += 2 * [max(2.595 * float(found[0]), 1e-3) ** 2]
+    rest, again = at_rest if knows else None, np.empty(shape, np.float32)
+    SURE_PRESSURE(
+        pressure,
+        mean,
+        spread,
+        sigma,
+        around,
+        sensor._noise,
+        rest,
+        known,
+        sure,
+        again,
+        stiffness,
+        factor,
+        *gains,
+    )
+    outline, contact = np.empty((2, *shape), bool)
+    CONTACT_OUTLINE(sure, outline, work, 2 / 3)
+    closed = cv2.morphologyEx(outline.view(np.uint8), cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)).view(bool)
+    runs = np.empty(runs_work(shape), np.int32)
+    HELD_OUTLINE(outline, closed, known, mean, smooth, bent, contact, runs, stiffness, 0.5, reach)
+    np.testing.assert_array_equal(labels > 0, contact)
+    np.testing.assert_array_equal(evidence, again)
+    assert count == ndimage.label(contact, np.ones((3, 3)))[1] > 0
+    assert (closed & ~outline).any()
+
+
 def test_outlines_agree_with_numpy():
     def by_numpy(pressure, contact, work, share):
         return pressure * around(pressure > 0) > share * around(pressure)
 
-    assert_kernel_agrees(pressure_module._contact_outline, by_numpy)
+    assert_kernel_agrees(CONTACT_OUTLINE, by_numpy)
 
 
 def test_the_mask_is_that_of_the_regions_that_stand():
@@ -393,7 +495,6 @@ def test_regions_of_one_hill_are_joined_up_its_slope(valley, stands, count):
 def test_the_pressure_s_variance_is_that_of_noisy_slopes():
     """White noise of slopes, integrated, smoothed and bent again; and noise that is correlated over some pixels."""
     rng, shape = np.random.default_rng(0), (200, 220)
-    sensor = PreparedContact((PITCH, PITCH), 0.5, np.ones(shape, np.float32))
     for blur, averaged in ((0.0, False), (0.0, True), (6.0, False), (6.0, True)):
         slopes = rng.normal(0, 1, (*shape, 2))
         if blur:
@@ -401,10 +502,10 @@ def test_the_pressure_s_variance_is_that_of_noisy_slopes():
         length = np.sqrt(2) * blur  # the correlation of a blurred white noise falls to exp(-1/2) there
         smoothing = np.hypot(0.7, np.sqrt(80 / 12) if averaged else 0)
         noise = length, 1.0 if blur else 0.0, 0.0, None
-        at_rest, elsewhere = pressure_module._gains((PITCH, PITCH), smoothing, *noise)
+        at_rest, elsewhere = pressure_module._gains((PITCH, PITCH), [smoothing], *noise)
         assert at_rest == elsewhere
         depth = gelform.depth_from_gradients(0.01 * slopes.astype(np.float32), mm_per_px=PITCH)
-        _, bent = sensor._smoothed(depth)
+        bent = -ndimage.laplace(ndimage.gaussian_filter(depth, 0.7)) / PITCH**2
         bent = ndimage.uniform_filter(bent, 9) if averaged else bent
         # The five points of a Laplacian blur white noise, too.
         assert np.var(bent[40:-40, 40:-40]) / 0.01**2 == pytest.approx(at_rest, rel=0.35)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
 import scipy.fft
@@ -166,7 +167,7 @@ def test_steep_slopes_may_miss_depth_and_are_named_where_that_is_most():
     rows = np.float32(depth), depth > 0.2, np.full(SHAPE, 0.3, np.float32)
     (finding,) = steep_finding(*rows, found)
     assert finding.name == "steep"
-    assert finding.figure == pytest.approx(found.coarse.at_pixels(found.steep_mm)[60, 80])
+    assert finding.figure == pytest.approx(found.coarse.at_pixels(found.steep_mm)[60, 80], rel=1e-5)
     assert finding.message.startswith("100 % of the contact are faces")
     assert steep_finding(*rows, gentle) == ()
     assert steep_finding(*rows, replace(found, gain_sigma=1.0)) == (), "the rest is as uncertain"
@@ -228,11 +229,13 @@ def numpy_errors(
     noise = np.minimum(square, 2 * np.minimum(read, full) ** 2)
     low, doubt = np.minimum(depth, 0), np.where(steep > doubted, steep.astype(float) ** 2, 0)
     unit = g / np.sqrt(np.maximum(square, 1e-12))[..., None]
-    common, alone = np.sqrt(gain**2 * square + doubt)[..., None] * unit, np.sqrt(doubt)[..., None] * unit
+    added = (np.sqrt(gain**2 * square + doubt) - gain * np.sqrt(square))[..., None] * unit
+    alone = np.sqrt(doubt)[..., None] * unit
     maps = [
         np.where(at_rest, noise, np.minimum(spill**2 * square, 2 * full**2)),
         np.where(at_rest, rest_share * noise, np.minimum(of_contact**2 * square, 2 * np.minimum(2 * read, full) ** 2)),
-        2 * low**2 * known, (at_rest | (low < 0)) & known, *np.moveaxis(common, -1, 0), *np.moveaxis(alone, -1, 0), at_rest,
+        2 * low**2 * known, (at_rest | (low < 0)) & known, depth, *np.moveaxis(added, -1, 0),
+        *np.moveaxis(alone, -1, 0), at_rest,
     ]  # fmt: skip
     cells = [[[one[a:b, c:d] for c, d in pairwise(columns)] for a, b in pairwise(rows)] for one in maps]
     return np.array([[[cell.sum() / max(cell.size, 1) for cell in row] for row in one] for one in cells])
@@ -240,3 +243,30 @@ def numpy_errors(
 
 def test_the_kernel_agrees_with_numpy():
     assert_kernel_agrees(sigma._depth_errors, numpy_errors)
+
+
+def test_cells_at_rest_agree_with_numpy():
+    """At least a share of them, those with the least change, is at rest."""
+
+    def by_numpy(change, slopes, rest, work, most, share):
+        change = change - np.median(change, axis=(0, 1))
+        square = (change.astype(float) ** 2).sum(-1)
+        rest = square <= most
+        if rest.sum() < share * rest.size:
+            rest = square <= np.quantile(square, share, method="lower")
+        return change, slopes - np.median(slopes[rest], axis=0), rest
+
+    assert_kernel_agrees(coarse_module._slopes_over_rest, by_numpy)
+
+
+def test_a_variance_on_the_grid_is_a_deviation_at_every_pixel():
+    """As OpenCV maps it, at any size, and at one pixel alone."""
+
+    def by_opencv(variance, lost, work, out, most):
+        found = np.sqrt(cv2.resize(variance.astype(float), out.shape[::-1], interpolation=cv2.INTER_LINEAR))
+        return np.where(False if lost is None else lost, most, np.minimum(found, most))
+
+    assert_kernel_agrees(coarse_module._root_at_pixels, by_opencv)
+    coarse, values = coarse_of((13, 30)), np.random.default_rng(0).random((3, 7), dtype=np.float32)
+    found = [[coarse.at_pixel(values, (y, x)) for x in range(30)] for y in range(13)]
+    np.testing.assert_allclose(found, coarse.at_pixels(values), atol=1e-5)

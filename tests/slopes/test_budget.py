@@ -211,8 +211,8 @@ def numpy_weights(residual, of_model, unseen, weight, outlier, unknown, full, le
 
 
 def numpy_budget(
-    gradients, at_rest, rest, of_step, of_model, residual, unseen, gain, light, read, solved, steep, confidence, walls,
-    outliers, per_step, per_size, factor, unknown, outlier, unseen_sigma, full, noise, per_bend,
+    gradients, at_rest, rest, of_step, of_model, residual, unseen, gain, light, read, solved, steep, whole, confidence,
+    walls, outliers, per_step, per_size, factor, unknown, outlier, unseen_sigma, full, noise, per_bend,
     bend_from, spread, shown, per_excess, doubted, steepest, carried, ball_x, ball_y, ball_radius, of_ball, reach,
 ):  # fmt: skip
     """What the kernel should give, in float64."""
@@ -239,8 +239,9 @@ def numpy_budget(
     other = carried * np.clip((size - doubted) / full + 1, 0, 1) * np.maximum(steepest - size, 0)
     missing = np.where(total < unknown**2, np.minimum(own**2 + other**2, unknown**2), 0)
     unit = spread**2 * size**2
+    of_solved = np.minimum(factor**2 * total, unknown**2) + unit
     maps = [
-        np.sqrt(total), np.sqrt(np.minimum(factor**2 * total, unknown**2) + unit), np.sqrt(missing),
+        np.sqrt(total), np.sqrt(of_solved), np.sqrt(missing), np.sqrt(of_solved + missing),
         np.minimum(full**2 / (total + unit + missing), 1),
     ]  # fmt: skip
     return (*maps, np.sqrt(bend), np.sqrt(off))

@@ -50,7 +50,7 @@ def shown_as(image=GRAY, color=(0.0, 0.0, 0.0), outliers=0.0, **frame):
     unseen = np.any(hidden, axis=0) if hidden else np.zeros(SHAPE, bool)
     read = np.sqrt(0.03**2 + outliers**2 + np.where(unseen, UNSEEN_SIGMA**2, 0)).astype(np.float32)
     zero = np.zeros(SHAPE, np.float32)
-    budget = Budget(read, read, zero, np.ones(SHAPE, np.float32), zero, outliers)
+    budget = Budget(read, read, zero, read, np.ones(SHAPE, np.float32), zero, outliers)
     usual = dict.fromkeys(("clipped", "markers", "lost", "outside"))
     change = np.broadcast_to(np.float32(color), GRAY.shape)
     shown = ExplainedImage(pixels=image, color_change=change, blur_px=1.25, **{**usual, **frame})

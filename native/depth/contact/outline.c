@@ -1,5 +1,5 @@
 // surface -> pressure that holds it up, its mean around each pixel, and where it ends: the outline of contacts.
-#include "runs.h"
+#include "steps.h"
 
 // Sums over squares of SIDE x SIDE pixels around each pixel, of the rows of some maps one after the other; nothing is outside of the
 // frame. A sum along a side is one of THIRD sums, of each three values.
@@ -122,7 +122,8 @@ static const float NOISES = 2;  // mean square of noise; the variance of noise a
 // The pressure by its local statistics (Lee, IEEE Trans. PAMI 2, 1980): its own value where values vary more around than noise does,
 // else their mean. It is kept where it and the mean exceed their own deviation and `factor` times the noise of gel at rest, at known
 // pixels; 0 elsewhere. `evidence`: square of the mean over its variance. `mean_gain_at_rest`, ...: variance of the mean's and of the
-// pressure's bending for a variance of slopes of 1. Returns how many pixels have a pressure.
+// pressure's bending for a variance of slopes of 1. `at_rest`, `known`: NULL where all
+// are. Returns how many pixels have a pressure.
 EXPORT int sure_pressure(const float *restrict pressure, const float *restrict mean, const float *restrict spread,
                          const float *restrict sigma, const float *restrict slopes, const float *restrict noise,
                          const bool *restrict at_rest, const bool *restrict known, float *restrict sure, float *restrict evidence,
@@ -134,7 +135,7 @@ EXPORT int sure_pressure(const float *restrict pressure, const float *restrict m
   for (ptrdiff_t start = 0; start < count; start += CHUNK) {
     const ptrdiff_t n = count - start < CHUNK ? count - start : CHUNK;
     int32_t still[CHUNK], counts[CHUNK];
-    for (ptrdiff_t k = 0; k < n; k++) still[k] = at_rest[start + k], counts[k] = known[start + k];
+    for (ptrdiff_t k = 0; k < n; k++) still[k] = at_rest == NULL || at_rest[start + k], counts[k] = known == NULL || known[start + k];
     for (ptrdiff_t k = 0; k < n; k++) {
       const ptrdiff_t i = start + k;
       const float of_mean = still[k] ? mean_gain_at_rest : mean_gain_elsewhere, of_one = still[k] ? gain_at_rest : gain_elsewhere;

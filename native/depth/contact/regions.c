@@ -1,5 +1,5 @@
 // The regions of a mask.
-#include "runs.h"
+#include "steps.h"
 
 // Labels 1 ... of a mask's regions, in the order of their first pixels, and 0; how many. Where they are more than fit, nothing
 // is written.

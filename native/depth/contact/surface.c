@@ -1,6 +1,7 @@
 // depth -> how its surface bends, and how noisy it is.
 #include "../../image/background/blurred_change.h"
 #include "../../select.h"
+#include "steps.h"
 
 static inline ptrdiff_t within(ptrdiff_t i, ptrdiff_t n) { return i < 0 ? 0 : i < n ? i : n - 1; }
 

@@ -79,7 +79,8 @@ static inline void add_rows(const struct budget *restrict c, struct lines *restr
 // model is another unit's, but within a ball's disc only those that the ball does not show. An error of the slope's size is stated
 // of both components: a face may lean either way.
 static inline void finish(const struct budget *restrict c, const struct lines *restrict l, float *restrict read,
-                          float *restrict solved, float *restrict steep, float *restrict confidence, ptrdiff_t x, ptrdiff_t y, int n) {
+                          float *restrict solved, float *restrict steep, float *restrict whole, float *restrict confidence, ptrdiff_t x,
+                          ptrdiff_t y, int n) {
   const float full = square_of(c->full), most = square_of(c->unknown), per_fade = 1 / c->full;
   const float spread = square_of(c->spread), factor = square_of(c->solved);
   const float reach = square_of(c->ball_radius) - square_of((float)y - c->ball_y), left = (float)x - c->ball_x;
@@ -90,8 +91,10 @@ static inline void finish(const struct budget *restrict c, const struct lines *r
     const float seen = l->read[k] < most ? 1 : 0, missing = seen * smaller(square_of(beyond) + square_of(other), most);
     const float of_unit = spread * l->slope[k];
     read[k] = sqrtf(l->read[k]);
-    solved[k] = sqrtf(smaller(factor * l->read[k], most) + of_unit);
+    const float of_solved = smaller(factor * l->read[k], most) + of_unit;
+    solved[k] = sqrtf(of_solved);
     steep[k] = sqrtf(missing);
+    whole[k] = sqrtf(of_solved + missing);
     confidence[k] = smaller(full / (l->read[k] + of_unit + missing), 1);
   }
 }
@@ -104,10 +107,10 @@ static inline void write_roots(float *restrict map, const float *restrict varian
 #define AT(map) ((map) == NULL ? NULL : (map) + at)
 
 // `read`: deviation of the slopes as read, without the rows of the unit and of steep slopes. `solved`: of the solved depth's
-// slopes, with that of the unit. `walls` and `outliers` get those rows where they are asked for.
+// slopes, with that of the unit. `whole`: of these with that of steep slopes. `walls` and `outliers` get those rows where they are asked for.
 EXPORT int slope_budget(const float *gradients, const bool *at_rest, const float *rest, const float *of_step, const float *of_model,
                         const float *residual, const bool *unseen, const float *gain, const float *light, float *read,
-                        float *solved, float *steep, float *confidence, float *walls, float *outliers, float per_step,
+                        float *solved, float *steep, float *whole, float *confidence, float *walls, float *outliers, float per_step,
                         float per_size, float solved_factor, float unknown, float outlier, float unseen_sigma,
                         float full, float noise, float per_bend, float bend_from, float spread, float shown,
                         float per_excess, float doubted, float steepest, float carried, float ball_x, float ball_y,
@@ -130,7 +133,7 @@ EXPORT int slope_budget(const float *gradients, const bool *at_rest, const float
       add_rows(&c, &l, gain + at, AT(light), AT(unseen), n);
       write_roots(AT(walls), l.wall, n);
       write_roots(AT(outliers), l.outlier, n);
-      finish(&c, &l, read + at, solved + at, steep + at, confidence + at, x, y, n);
+      finish(&c, &l, read + at, solved + at, steep + at, whole + at, confidence + at, x, y, n);
     }
   return OK;
 }

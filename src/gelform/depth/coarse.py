@@ -23,6 +23,13 @@ COARSER = 4  # times fewer rows and columns; the same in native/depth/coarse.c
 
 _cell_means = Kernel("cell_means", "f32[h,w,c] values, out f32[n] work, out f32[r,k,c] cells")
 _cell_shares = Kernel("cell_shares", "bool[h,w] mask, out f32[r,k] cells")
+_slopes_over_rest = Kernel(
+    "slopes_over_rest",
+    "out f32[r,k,3] change, out f32[r,k,2] slopes, out bool[r,k] rest, out f32[n] work, f32 most, f64 share",
+)
+_root_at_pixels = Kernel(
+    "root_at_pixels", "f32[r,c] variance, bool[h,w]? lost, out f32[n] work, out f32[h,w] sigma, f32 most"
+)
 
 
 class Coarse:
@@ -57,6 +64,22 @@ class Coarse:
     def at_pixels(self, values: Map) -> Map:
         """A map (rows, columns) at every pixel (H, W), linear between the cells' centers."""
         return np.asarray(cv2.resize(values, self._pixels, interpolation=cv2.INTER_LINEAR))
+
+    def root_at_pixels(self, variance: Map, most: float, lost: Mask | None = None) -> Map:
+        """The root of a variance (rows, columns) at every pixel (H, W), `most` at most, and at `lost` pixels (H, W)."""
+        width, height = self._pixels
+        sigma, work = np.empty((height, width), np.float32), np.empty(4 * width, np.float32)
+        _root_at_pixels(variance, lost, work, sigma, most)
+        return sigma
+
+    def at_pixel(self, values: Map, place: tuple[int, int]) -> float:
+        """A map (rows, columns) at one pixel (y, x), as `at_pixels`."""
+        for at, pixels in zip(place, self._pixels[::-1]):
+            middle = (at + 0.5) * len(values) / pixels - 0.5
+            first = min(max(int(middle), 0), len(values) - 2)
+            share = min(max(middle - first, 0.0), 1.0)
+            values = (1 - share) * values[first] + share * values[first + 1]
+        return float(values)
 
 
 @lru_cache(maxsize=16)
@@ -123,7 +146,7 @@ class CoarseDepth:
     """Least-squares depth of frames; immutable. A color change up to `untouched` means rest, where depth is 0."""
 
     def __init__(self, shape: tuple[int, int], untouched: float) -> None:
-        self._square = np.float32(untouched**2)
+        self._square = float(np.float32(untouched**2))
         self._coarse = coarse_of(shape)
 
     def __call__(self, color_change: Map, gradients: Slopes, hidden: Mask | None = None) -> Map:
@@ -146,12 +169,10 @@ class CoarseDepth:
             change, slopes = (means(m * seen[..., None]) / part[..., None] for m in (color_change, gradients))
             if known.any():
                 change, slopes = fill_unknown(change, known), fill_unknown(slopes, known)
-        change = change - medians_where(change)[0]
-        square = np.einsum("...c,...c->...", change, change)
-        rest = square <= self._square
-        if np.count_nonzero(rest) < MIN_UNTOUCHED * rest.size:
-            rest = square <= np.quantile(square, MIN_UNTOUCHED)
-        depth = self._coarse.depth_px(slopes - medians_where(slopes, rest)[0])
+        rest = np.empty(self._coarse.shape, dtype=np.bool_)
+        work = np.empty(3 * rest.size, dtype=np.float32)
+        _slopes_over_rest(change, slopes, rest, work, self._square, MIN_UNTOUCHED)
+        depth = self._coarse.depth_px(slopes)
         depth -= medians_where(depth[..., None], rest)[0]
         return depth
 

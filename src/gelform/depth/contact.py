@@ -213,10 +213,13 @@ def labeled(mask: Mask) -> tuple[int, NDArray[np.uint16]]:
     """The number of connected regions of a mask (H, W), and the map of their labels in the order of their first pixels."""
     labels = np.empty(mask.shape, dtype=np.uint16)
     work = np.empty(runs_work(labels.shape), dtype=np.int32)
-    found = _label_regions(np.ascontiguousarray(mask), labels, work)
-    if found > np.iinfo(np.uint16).max:
-        raise ValueError(f"Expected at most 65535 separate contacts, got {found}: is this noise?")
-    return found, labels
+    return _checked_count(_label_regions(np.ascontiguousarray(mask), labels, work)), labels
+
+
+def _checked_count(regions: int) -> int:
+    if regions > np.iinfo(np.uint16).max:
+        raise ValueError(f"Expected at most 65535 separate contacts, got {regions}: is this noise?")
+    return regions
 
 
 def runs_work(shape: tuple[int, ...]) -> int:
@@ -302,37 +305,12 @@ _region_evidence = Kernel(
     "out f64[n,7] measures, f32 stiffness, f32 per_x, f32 per_y",
 )
 _variance_below = Kernel("variance_below", "f32[...] depth, f32[...] sigma, out f64[1] excess, i64 step")
-_bent_surface = Kernel(
-    "bent_surface",
-    "f32[h,w] depth, f32[t] taps, out f32[h,w] smooth, out f32[h,w] bent, out f32[n] work, f32 along_x, f32 along_y, "
-    "i64 margin",
-)
-_magnitude_of_share = Kernel(
-    "magnitude_of_share",
-    "f32[...] values, f32[...] units, bool[...]? chosen, out f32[n] work, out f32[1] magnitude, i64 step, f64 share",
-)
-_slope_variance = Kernel(
-    "slope_variance", "f32[...] read, f32[...] solved, bool[...] at_rest, out f32[...] variance"
-)
-_pressure_means = Kernel(
-    "pressure_means",
-    "f32[h,w] smooth, f32[h,w] bent, f32[h,w] sigma, f32[h,w] slopes, bool[h,w]? known, out f32[h,w] pressure, "
-    "out f32[h,w] mean, out f32[h,w] spread, out f32[h,w] variance, out f32[h,w] mean_bent, out f32[n] work, f32 stiffness, "
-    "f32 sigmas",
-)
-_sure_pressure = Kernel(
-    "sure_pressure",
-    "f32[...] pressure, f32[...] mean, f32[...] spread, f32[...] sigma, f32[...] slopes, f32[...] noise, bool[...] at_rest, "
-    "bool[...] known, out f32[...] sure, out f32[...] evidence, f32 stiffness, f32 factor, f32 mean_gain_at_rest, "
-    "f32 mean_gain_elsewhere, f32 gain_at_rest, f32 gain_elsewhere",
-)
-_contact_outline = Kernel(
-    "contact_outline", "f32[h,w] pressure, out bool[h,w] contact, out f32[n] work, f32 share"
-)
-_held_outline = Kernel(
-    "held_outline",
-    "bool[h,w] outline, bool[h,w] closed, bool[h,w]? known, f32[h,w] mean, f32[h,w] smooth, f32[h,w] bent, "
-    "out bool[h,w] contact, out i32[n] work, f32 stiffness, f32 share, f32 reach",
+_pressed_regions = Kernel(
+    "pressed_regions",
+    "f32[h,w] depth, f32[h,w] sigma, f32[h,w] noise, f32[h,w]? read, f32[h,w]? solved, bool[h,w]? at_rest, "
+    "bool[h,w]? known, f32[t] taps, f64[4]? gains, out f32[h,w] smooth, out f32[h,w] bent, out f32[h,w] evidence, "
+    "out u16[h,w] labels, out f32[n] work, f32 along_x, f32 along_y, f32 stiffness, f32 factor, f32 reach, i64 margin, "
+    "i64 step",
 )
 _standing_regions = Kernel(
     "standing_regions",
@@ -484,9 +462,8 @@ class PreparedContact:
         # mm, of a gel that no press showed: the longest of six sensors (0.41 to 0.86). A shorter length than the gel's takes
         # gel that is drawn down for contact.
         length = relaxation_mm or 0.86
-        self._pitch, self._factor = pitch, noise_factor
-        self._reach_px = length / max(pitch)  # an object's depth reaches about as far beyond it
-        self._stiffness, self._stands = length**-2, Evidence(pitch, length, noise_factor, min_area_mm2)
+        reach_px = length / max(pitch)  # an object's depth reaches about as far beyond it
+        self._stands = Evidence(pitch, length, noise_factor, min_area_mm2)
         # Beside a border, means are taken over fewer pixels that have a pressure of their own.
         side, inner = 2 * NEIGHBORHOOD_PX + 1, np.zeros_like(noise)
         margin = _margin(noise.shape)
@@ -495,9 +472,12 @@ class PreparedContact:
         self._noise = noise * (np.float32(side**2) / np.maximum(count, 1))
         # The square that means are taken over smooths once more, by its own standard deviation.
         smoothings = np.hypot(SMOOTHING_PX, [np.sqrt((side**2 - 1) * PIXEL_VARIANCE), 0])
-        self._gains = None if correlation is None else [_gains(pitch, s, **correlation) for s in smoothings]
-        self._everywhere = np.ones(noise.shape, dtype=np.bool_)
-        self._square = np.ones((5, 5), dtype=np.uint8)  # px, closes half the gap beside a cube's crest
+        self._gains = None if correlation is None else _gains(pitch, smoothings, **correlation)
+        self._taps, self._step = blur_taps(SMOOTHING_PX), max(1, noise.size // MEDIAN_SAMPLES)
+        self._numbers = *(step**-2 for step in pitch), length**-2, noise_factor, reach_px, margin
+        # Eight maps, and sums of five more over squares, or a sample.
+        rows, width = 2 * NEIGHBORHOOD_PX + 4, noise.shape[1] + 2 * LANES
+        self._work_size = 8 * noise.size + max((5 * rows + 2) * width, 2 * -(-noise.size // self._step))
 
     def __call__(
         self,
@@ -513,39 +493,19 @@ class PreparedContact:
             sample = depth.ravel()[:: max(1, depth.size // MEDIAN_SAMPLES)]
             below = sample[sample < 0]
             sigma = np.full_like(depth, -SIGMA_OF_MEDIAN * float(np.median(below)) if below.size else 0.0)
-        own_sigma = sigma if own_sigma is None else own_sigma
-        hidden = known is not None and not known.all()
-        known = known if hidden and known is not None else self._everywhere
-        variance, at_rest = self._noise, self._everywhere
-        gains: Sequence[list[float] | None] = (None, None)
-        if slopes is not None and self._gains is not None:
-            variance, at_rest, gains = np.empty_like(depth), slopes.at_rest, self._gains
-            _slope_variance(slopes.read, slopes.solved, at_rest, variance)
-        smooth, bent = self._smoothed(depth)
-        pressure, mean, spread, around, mean_bent, sure, evidence = np.empty((7, *depth.shape), np.float32)
-        _pressure_means(
-            smooth, bent, own_sigma, variance, known if hidden else None, pressure, mean, spread, around, mean_bent,
-            self._work(5), stiffness=self._stiffness, sigmas=2.0,  # only depth beyond them presses on the bed
+        of_slopes: tuple[Any, ...] = (None,) * 3 if slopes is None else slopes
+        smooth, bent, evidence = np.empty((3, *depth.shape), np.float32)
+        labels = np.empty(depth.shape, np.uint16)
+        count = _pressed_regions(
+            depth, sigma if own_sigma is None else own_sigma, self._noise, *of_slopes,
+            None if known is None or known.all() else known, self._taps, self._gains, smooth, bent, evidence, labels,
+            np.empty(self._work_size, dtype=np.float32), *self._numbers, self._step,
         )  # fmt: skip
-        of_mean, of_pixel = (self._gains_of_frame(b, at_rest, k) for b, k in zip((mean_bent, bent), gains))
-        if not _sure_pressure(
-            pressure, mean, spread, own_sigma, around, self._noise, at_rest, known, sure, evidence,
-            self._stiffness, self._factor, *of_mean, *of_pixel,
-        ):  # fmt: skip
-            return np.zeros(depth.shape, dtype=np.bool_)
-        outline, contact = np.empty((2, *depth.shape), dtype=np.bool_)
-        # A contact ends at this share of the mean pressure around a pixel: three simulated and six real sensors.
-        _contact_outline(sure, outline, self._work(2), share=2 / 3)
-        closed = cv2.morphologyEx(outline.view(np.uint8), cv2.MORPH_CLOSE, self._square).view(np.bool_)
-        # The share of the bed's pressure that holds gaps and holes is half way between the membrane alone and a plane face.
-        _held_outline(
-            outline, closed, known if hidden else None, mean, smooth, bent, contact,
-            np.empty(runs_work(depth.shape), dtype=np.int32), stiffness=self._stiffness, share=0.5, reach=self._reach_px,
-        )  # fmt: skip
-        count, labels = labeled(contact)
-        maps = labels, depth, sigma, evidence, smooth, bent, deepest_sigma
-        stands, deepest = self._stands(count, *maps)
-        _standing_regions(labels, stands, deepest, depth, contact, reach=NEIGHBORHOOD_PX)
+        contact = np.zeros(depth.shape, dtype=np.bool_)
+        if _checked_count(count):
+            maps = labels, depth, sigma, evidence, smooth, bent, deepest_sigma
+            stands, deepest = self._stands(count, *maps)
+            _standing_regions(labels, stands, deepest, depth, contact, reach=NEIGHBORHOOD_PX)
         return contact
 
     def pressed_background(
@@ -580,37 +540,6 @@ class PreparedContact:
         )
         return (Finding("background_pressed", message, deepest),)
 
-    def _work(self, maps: int) -> Floats:
-        """Memory for sums of some maps over squares."""
-        width, rows = self._noise.shape[1] + 2 * LANES, 2 * NEIGHBORHOOD_PX + 4
-        return np.empty((maps * rows + 2) * width, dtype=np.float32)
-
-    def _smoothed(self, depth: Map) -> tuple[Map, Map]:
-        """A smoothed depth (H, W), and minus its Laplacian, 1/mm; pixels near borders get that of the next pixel inside."""
-        taps, margin = blur_taps(SMOOTHING_PX), _margin(depth.shape)
-        smooth, bent = np.empty_like(depth), np.empty_like(depth)
-        rows, width = 2 * taps.size - 1, depth.shape[1] + LANES
-        work = np.empty((rows + 1) * width + rows, dtype=np.float32)
-        along_x, along_y = (step**-2 for step in self._pitch)
-        _bent_surface(depth, taps, smooth, bent, work, along_x=along_x, along_y=along_y, margin=margin)
-        return smooth, bent
-
-    def _gains_of_frame(self, bent: Map, at_rest: Mask, known: list[float] | None) -> list[float]:
-        """Variance of the pressure at rest, and elsewhere, for a variance of slopes of 1.
-
-        A frame may have more noise at rest than the calibration's presses, or larger outliers, as after compression: the
-        larger counts. If nothing is known, the smallest magnitudes of the frame tell its noise: at least 30 % are at rest.
-        """
-        chosen, share = (None, 0.3) if known is None else (at_rest, 0.95)
-        step, found = max(1, bent.size // MEDIAN_SAMPLES), np.empty(1, dtype=np.float32)
-        work = np.empty(2 * -(-bent.size // step), dtype=np.float32)
-        _magnitude_of_share(bent, self._noise, chosen, work, found, step=step, share=share)
-        # Of normal noise, 30 % of the magnitudes lie below 1/2.595 deviations, 95 % below 1.96. A depth without noise has
-        # 1e-3 1/mm, to which float32 rounds.
-        if known is None:
-            return 2 * [max(2.595 * float(found[0]), 1e-3) ** 2]
-        return [max(known[0], (float(found[0]) / 1.96) ** 2), known[1]]
-
 
 def _margin(shape: tuple[int, ...]) -> int:
     """Width of the border, px, where the smoothed depth has no bend of its own."""
@@ -620,20 +549,21 @@ def _margin(shape: tuple[int, ...]) -> int:
 
 def _gains(
     pitch: tuple[float, float],
-    smoothing: float,
+    smoothings: Floats,
     correlation_px: float,
     correlated_share: float,
     rest_correlation_px: float,
     rest_correlated_share: float | None,
-) -> list[float]:
-    """Variance of the pressure of gel at rest, and elsewhere, for a variance of the slopes of 1."""
+) -> Numbers:
+    """Variance of the pressure of gel at rest, and elsewhere, for a variance of the slopes of 1; of each smoothing."""
     per_mm2 = (pitch[0] ** -2 + pitch[1] ** -2) / 2
     share_at_rest = correlated_share if rest_correlated_share is None else rest_correlated_share
-    far = _divergence(correlation_px, smoothing)
-    return [
-        per_mm2 * (share * far + (1 - share) * _divergence(near, smoothing))
+    found = [
+        per_mm2 * (share * _divergence(correlation_px, s) + (1 - share) * _divergence(near, s))
+        for s in smoothings
         for share, near in ((share_at_rest, rest_correlation_px), (correlated_share, 0.0))
     ]
+    return np.array(found, dtype=np.float64)
 
 
 def _divergence(length: float, smoothing: float) -> float:

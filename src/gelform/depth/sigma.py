@@ -20,7 +20,7 @@ from gelform.arrays import Array, Floats, Map, Mask, Slopes
 from gelform.depth.coarse import Coarse, coarse_of
 from gelform.depth.solvers.dct import CosineFilter
 from gelform.errors import ConvergenceError, Finding
-from gelform.foundations.filters import SIGMA_OF_MEDIAN, bessel_k
+from gelform.foundations.filters import SIGMA_OF_MEDIAN, bessel_k, medians_where
 
 # Parts of the image's height: the influence's length L, and the standard deviation of the window for negative depths. Depth
 # off contact is covered alike with half and twice of either, on twelve real sets.
@@ -37,7 +37,7 @@ _depth_errors = Kernel(
     "i32[row_ends] rows, i32[column_ends] columns, out f32[n] work, out f32[maps,r,c] cells, f32 full, f32 spill, "
     "f32 rest_share, f32 spill_of_contact, f32 gain, f32 doubted",
 )
-MAPS = 9  # that `depth_errors` sums; the same as in native/depth/errors.c
+MAPS = 10  # that `depth_errors` sums; the same as in native/depth/errors.c
 
 
 class DepthSigma:
@@ -91,8 +91,7 @@ class DepthSigma:
         anywhere, of_contact, below, free = self._filter(cells[:4])
         own = below / np.maximum(free, np.float32(LEAST_FREE))
         of_frame = cells[2].mean() / max(cells[3].mean(), np.float32(LEAST_FREE))
-        negative = cells[2][cells[2] > 0] / 2
-        usual = np.float32(SIGMA_OF_MEDIAN**2) * np.median(negative) if negative.size else np.float32(0)
+        usual = np.float32(SIGMA_OF_MEDIAN**2 / 2) * medians_where(cells[2][..., None], cells[2] > 0)[0][0]
         least = np.float32(1e-14)  # mm^2; the filter rounds
         anywhere, of_contact = (np.maximum(m * self._beside_border, least) for m in (anywhere, of_contact))
         numbers = own, of_frame, min(usual, of_frame), cells[4:], self._mm_per_px, self.numbers["gain"]
@@ -112,22 +111,21 @@ class DepthErrors:
     own: Map  # twice the mean square of negative depths around, mm^2
     own_of_frame: np.float32  # the same in the whole frame
     usual_of_frame: np.float32  # the same by the median of negative depths, which a valley does not move
-    # (5, r, c), the slopes that may be common errors in all (p, q), of steep faces alone (p, q), and the share of
-    # pixels at rest
-    slopes_off: Slopes = field(repr=False)
+    # (6, r, c), the depth, what steep faces add to slopes that are off in proportion (p, q), slopes of steep faces that
+    # may be missing (p, q), and the share of pixels at rest
+    means: Map = field(repr=False)
     mm_per_px: np.float32
     gain_sigma: float
 
     @cached_property
     def common_mm(self) -> Map:
         """Depth that all slopes in proportion and steep ones may be off by together, one standard deviation; 0 at rest."""
-        return self._integrated(self.slopes_off[:2])
+        return np.float32(self.gain_sigma) * self.means[0] + self._integrated(self.means[1:3])
 
     @cached_property
     def steep_mm(self) -> Map:
         """The same of steep slopes alone."""
-        steep = self.slopes_off[2:4]
-        return self._integrated(steep) if steep.any() else np.zeros_like(self.spread)
+        return self._integrated(self.means[3:5])
 
     @property
     def coarse_variance(self) -> Map:
@@ -139,8 +137,8 @@ class DepthErrors:
         """The same at every pixel (H, W)."""
         return self.coarse.at_pixels(self.coarse_variance)
 
-    def sigma(self, most_mm: float, purpose: Purpose = "stated") -> Map:
-        """Standard deviation (H, W) of the depth, mm, `most_mm` at most, for a purpose.
+    def sigma(self, most_mm: float, purpose: Purpose = "stated", lost: Mask | None = None) -> Map:
+        """Standard deviation (H, W) of the depth, mm, `most_mm` at most and at lost pixels (H, W), for a purpose.
 
         All but the first leave out what all depths have in common, which makes no contact less certain.
 
@@ -153,27 +151,28 @@ class DepthErrors:
         """
         own, variance = self.own, self.contact_spread
         if purpose == "valley":
-            return self._root(self.spread, most_mm)
-        if purpose == "stated":
-            return self._root(self._with(own, self.spread) + np.square(self.common_mm), most_mm)
-        if purpose == "contact":
-            return self._root(self._with(np.maximum(own, self.own_of_frame), variance), most_mm)
-        if purpose == "deepest":
-            return self._root(self._with(self.usual_of_frame, variance), most_mm)
-        return self._root(self._with(np.maximum(own, self.usual_of_frame), np.float32(0)), most_mm)
+            found = self.spread
+        elif purpose == "stated":
+            found = self.coarse_variance + np.square(self.common_mm)
+        elif purpose == "contact":
+            found = self._with(np.maximum(own, self.own_of_frame), variance)
+        elif purpose == "deepest":
+            found = self._with(self.usual_of_frame, variance)
+        else:
+            found = self._with(np.maximum(own, self.usual_of_frame), np.zeros_like(own))
+        return self.coarse.root_at_pixels(found, most_mm, lost)
 
     def _with(self, own: Map | np.float32, variance: Map | np.float32) -> Map:
         return np.asarray(variance + np.float32(PULL) * np.maximum(own - variance, 0), dtype=np.float32)
 
-    def _root(self, variance: Map, most_mm: float) -> Map:
-        found = self.coarse.at_pixels(variance)
-        return np.sqrt(np.minimum(found, np.float32(most_mm**2), out=found), out=found)
-
-    def _integrated(self, slopes: Slopes) -> Map:
+    def _integrated(self, slopes: Map) -> Map:
+        """Depth, mm, of slopes (2, r, c)."""
+        if not slopes.any():
+            return np.zeros_like(self.spread)
         depth = self.coarse.depth_px(np.ascontiguousarray(np.moveaxis(slopes, 0, -1)))
         # The largest part at rest is where depth is 0, whatever faces beside it are. One behind walls, as the top of a
         # punch, is as wrong as they are.
-        parts, labels = cv2.connectedComponents((self.slopes_off[4] > 0.5).view(np.uint8), connectivity=4)
+        parts, labels = cv2.connectedComponents((self.means[5] > 0.5).view(np.uint8), connectivity=4)
         if parts > 1:
             largest = labels == 1 + np.bincount(labels.ravel())[1:].argmax()
             depth -= np.median(depth[largest])
@@ -195,11 +194,11 @@ def steep_finding(depth_mm: Map, contact: Mask, steep: Map, errors: DepthErrors)
 
     `steep` (H, W) is the deviation of steep slopes, in the depth (H, W) and its contact (H, W).
     """
-    if not errors.steep_mm.any():
+    at, deepest = errors.coarse.at_pixel, divmod(int(np.argmax(depth_mm)), depth_mm.shape[1])
+    rest = at(errors.coarse_variance, deepest) + (errors.gain_sigma * float(depth_mm[deepest])) ** 2
+    if at(errors.common_mm, deepest) ** 2 <= 9 * rest:  # steep faces are a part of that
         return ()
-    deepest = np.unravel_index(np.argmax(depth_mm), depth_mm.shape)
-    missing_mm = float(errors.coarse.at_pixels(errors.steep_mm)[deepest])
-    rest = float(errors.local_variance[deepest]) + (errors.gain_sigma * float(depth_mm[deepest])) ** 2
+    missing_mm = at(errors.steep_mm, deepest)
     if missing_mm**2 <= 9 * rest:
         return ()
     doubted = contact & (steep > np.float32(DOUBTED))

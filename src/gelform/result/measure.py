@@ -109,7 +109,9 @@ def measure(
         check_choice(radius, RADII, "a radius")
     for name, given in (("lines", lines), ("regions", regions)):
         if not isinstance(given, list | tuple):
-            raise TypeError(f"Expected {name} as a list, of x1, y1, x2, y2 each, got a {type(given).__name__}.")
+            raise TypeError(
+                f"Expected {name} as a list, of x1, y1, x2, y2 each, got a {type(given).__name__}."
+            )
     masks = {f"region {k + 1}": surface.region(one) for k, one in enumerate(regions)}
     profiles = [surface.along(one, f"line {k + 1}") for k, one in enumerate(lines)]
     if not lines and not regions and np.any(result.contact & result.known):

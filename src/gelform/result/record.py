@@ -184,13 +184,16 @@ class Reconstruction:
         known, depth, found = self.known, self.depth, self.contacts
         if not known.any():
             return None
-        y, x = divmod(int(np.where(known, depth, -np.inf).argmax()), depth.shape[1])
-        touched = int(np.count_nonzero(self.contact))
-        area, volume = float(touched), float(depth[self.contact].sum(dtype=np.float64))
-        if self.mm_per_px is not None:
+        every = bool(known.all())
+        y, x = divmod(int((depth if every else np.where(known, depth, -np.inf)).argmax()), depth.shape[1])
+        lowest = float(depth.min() if every else depth[known].min())
+        touched = sum(one.area_px for one in found)
+        if self.mm_per_px is None:
+            area, volume = float(touched), float(depth[self.contact].sum(dtype=np.float64))
+        else:
             area = float(sum(one.area_mm2 or 0.0 for one in found))
             volume = float(sum(one.volume_mm3 or 0.0 for one in found))
-        lowest, deeper = float(depth[known].min()), may_be_deeper(~known & self.contact, depth, (x, y))
+        deeper = not every and may_be_deeper(~known & self.contact, depth, (x, y))
         return ResultNumbers(float(depth[y, x]), lowest, x, y, area, volume, len(found), touched, deeper)
 
     @property

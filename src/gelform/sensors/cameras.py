@@ -207,6 +207,10 @@ UNKNOWN = -1.0  # OpenCV's value of a control that the camera lacks
 
 def check_settings(settings: Settings) -> dict[str, float | str]:
     """Check that settings can be applied; ValueError for an unknown name or a value that is no finite number or format."""
+    if not isinstance(settings, Mapping):
+        raise TypeError(
+            f"Expected settings as a mapping of names to values, got a {type(settings).__name__}."
+        )
     unknown = [name for name in settings if name not in SETTABLE]
     if unknown:
         raise ValueError(

@@ -60,8 +60,8 @@ _slope_budget = Kernel(
     "slope_budget",
     "f32[h,w,2] gradients, bool[h,w] at_rest, f32[h,w] rest, f32[h,w]? of_step, f32[h,w]? of_model, f32[h,w]? residual, "
     "bool[h,w]? unseen, f32[h,w] gain, f32[h,w]? light, out f32[h,w] read, out f32[h,w] solved, out f32[h,w] steep, "
-    "out f32[h,w] confidence, out f32[h,w]? walls, out f32[h,w]? outliers, f32 per_step, f32 per_size, f32 solved_factor, "
-    "f32 unknown, f32 outlier, f32 unseen_sigma, f32 full, f32 noise, f32 per_bend, "
+    "out f32[h,w] whole, out f32[h,w] confidence, out f32[h,w]? walls, out f32[h,w]? outliers, f32 per_step, "
+    "f32 per_size, f32 solved_factor, f32 unknown, f32 outlier, f32 unseen_sigma, f32 full, f32 noise, f32 per_bend, "
     "f32 bend_from, f32 spread, f32 shown, f32 per_excess, f32 doubted, f32 steepest, f32 carried, "
     "f32 ball_x, f32 ball_y, f32 ball_radius, f32 of_ball, i32 reach",
 )
@@ -97,14 +97,15 @@ class Budget:
     read: Map  # of the slopes as they were read, without what no residual shows
     solved: Map  # of the solved depth's slopes, with the spread between units
     steep: Map  # what steep slopes may be read too small
+    whole: Map  # of the solved depth's slopes, all rows included
     confidence: Map  # min(1, full_confidence_sigma^2 / (all rows of the slopes as read))
     walls: Map | None = None  # this row, if it was asked for
     outliers: Map | None = None
 
     @property
     def gradients_sigma(self) -> Map:
-        """Standard deviation (H, W, 2) of the solved depth's slopes, all rows included; read-only."""
-        return for_both(np.sqrt(np.square(self.solved) + np.square(self.steep)))
+        """`whole` of both components (H, W, 2); read-only."""
+        return for_both(self.whole)
 
 
 class PreparedBudget:
@@ -155,14 +156,16 @@ class PreparedBudget:
             row, column = divmod(int(np.argmax(depth)), depth.shape[1])
             ball = slopes_of_ball(slopes.gradients, (row, column), numbers["doubted"])
             numbers = numbers if ball is None else numbers | ball._asdict()
-        read, solved, steep, confidence = (np.empty(slopes.at_rest.shape, np.float32) for _ in range(4))
+        read, solved, steep, whole, confidence = (
+            np.empty(slopes.at_rest.shape, np.float32) for _ in range(5)
+        )
         walls, outliers = (np.zeros_like(read), np.zeros_like(read)) if rows else (None, None)
         _slope_budget(
             slopes.gradients, slopes.at_rest, self.rest_variance, slopes.variance, slopes.model_sigma, slopes.residual,
-            slopes.unseen, self._gain, light, read, solved, steep, confidence, walls, outliers,
+            slopes.unseen, self._gain, light, read, solved, steep, whole, confidence, walls, outliers,
             outlier=slopes.outlier, noise=noise_levels, **numbers,
         )  # fmt: skip
-        return Budget(read, solved, steep, confidence, walls, outliers)
+        return Budget(read, solved, steep, whole, confidence, walls, outliers)
 
     def frame_rows(self, slopes: ReadSlopes, noise_levels: float, light: Map | None) -> dict[str, Floats]:
         """The rows (H, W) that follow from a frame's light, its noise and the spread between units, mm/mm."""
