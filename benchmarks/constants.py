@@ -177,8 +177,8 @@ def of_motion(calibration: Any) -> dict[str, Any]:
     images = [frame.image for frame in video.frames()][::8]
     reconstruct, figures = gelform.Reconstructor(calibration).with_background(images[-1]), {}
     results = [reconstruct(image) for image in images[:FRAMES]]
-    for k, (one, other) in enumerate(zip(results, results[1:])):
-        motion = gelform.motion_between(one, other)
+    for k, other in enumerate(results[1:]):
+        motion = gelform.motion_between(results[k], other)
         figures |= {f"state {k}": motion.state, f"shared {k}": motion.shared}
         if motion.pose is not None:
             figures |= {f"shift {k}": float(np.linalg.norm(motion.pose[:3, 3]))}
@@ -285,7 +285,8 @@ def main() -> None:
                     for factor in (FACTOR, 1 / FACTOR)
                 )
                 print(
-                    f"| {number.path} | {number.name or number.literals[0]} | {number.value} | {more} | {less} | {number.says}",
+                    f"| {number.path} | {number.name or number.literals} | {number.value} | {more} | {less} | "
+                    f"{number.says}",
                     flush=True,
                 )
 

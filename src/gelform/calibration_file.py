@@ -35,13 +35,11 @@ from gelform.foundations.files import (
 )
 from gelform.image.agreement import background_digest
 from gelform.image.background import ChangeSettings
-from gelform.image.view import MAX_PIXELS, View, as_levels
+from gelform.image.view import MAX_PIXELS, THUMBNAIL_PX, View, as_levels
 from gelform.slopes.color_models import COLOR_MODELS, IMPORTED_MODELS, ColorModel, ForwardResponse
 from gelform.slopes.sigma import SlopeSigma
 
 KIND, FORMAT_VERSION = "gelform calibration", 1
-
-THUMBNAIL_PX = 240  # a picture's width in a notebook
 
 
 @dataclass(frozen=True, eq=False)

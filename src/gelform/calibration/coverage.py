@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gelform.arrays import Array, Mask, Numbers
-from gelform.calibration.presses.press_set import Circle
+from gelform.calibration.presses.press_set import NAMED, Circle
 from gelform.errors import counted
 from gelform.result.metrics import followed_radius
 
@@ -68,7 +68,6 @@ REFINING = ((0, (1,)), (6, (2, 1)), (9, (3, 2, 0)))
 
 DIRECTIONS = 8  # directions of slopes, 45 degrees each
 COARSE = (3, 4)  # tiles (rows, columns) in notes
-NAMED = 5  # places, images and presses that a note lists
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,8 @@ from gelform.calibration.circles.find import (
     why_no_contact,
 )
 from gelform.calibration.circles.locate import Located, light_notes
-from gelform.calibration.coverage import NAMED, NEEDED, SAMPLED, coverage_notes
-from gelform.calibration.presses.press_set import Presses
+from gelform.calibration.coverage import NEEDED, SAMPLED, coverage_notes
+from gelform.calibration.presses.press_set import NAMED, Presses
 from gelform.calibration.start import Start
 from gelform.errors import CalibrationError, Finding
 from gelform.foundations.filters import SIGMA_OF_MEDIAN

@@ -237,6 +237,7 @@ def _lens_of_matrix(matrix: Any) -> Lens:
     return replace(given, perspective=tuple((back / back[2, 2] if back[2, 2] else back).ravel().tolist()))
 
 
+THUMBNAIL_PX = 240  # a picture's width in a notebook
 PIXEL_VARIANCE = 1 / 12  # px^2, of a place that is anywhere in a pixel
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.arrays import MIB, Array, Map, Mask, Slopes
-from gelform.calibration_file import THUMBNAIL_PX
 from gelform.depth.contact import Contact, at_least, contacts_from_mask, may_be_deeper
 from gelform.depth.force import Force, ForceModel, force_from_result
 from gelform.errors import DataError, Finding, GelformError
@@ -29,6 +28,7 @@ from gelform.foundations.checks import (
 )
 from gelform.foundations.files import damaged, picture_bytes, read_npz, shown_in_notebook, write_npz
 from gelform.image.markers import MarkerFlow
+from gelform.image.view import THUMBNAIL_PX
 from gelform.result.maps import BESIDE_DEPTH, MAPS
 from gelform.result.shape import ShapeErrors
 from gelform.slopes.normals import normals_from_gradients

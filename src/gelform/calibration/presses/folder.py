@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform.calibration.coverage import NAMED
 from gelform.calibration.geometry.scale import Scale
 from gelform.calibration.presses.press_set import (
+    NAMED,
     UNREAD,
     FlatPress,
     Press,

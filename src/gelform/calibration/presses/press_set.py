@@ -26,6 +26,7 @@ from gelform.sensors.profiles import check_gel_width, make_of, view_from_camera
 if TYPE_CHECKING:
     from gelform.simulate import SimulatedPresses
 
+NAMED = 5  # places, images and presses that a note lists
 MIN_IMAGE_PX = 24  # of an image's height and width; a contact has no room in less
 UNREAD = np.empty((0, 0, 3), np.uint8)  # the image of a press that is listed, before it is read
 Circle = tuple[float, float, float]  # (center x, center y, radius), px
