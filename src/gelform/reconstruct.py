@@ -215,9 +215,9 @@ class FrameRecord:
     @once
     def contact(self) -> Mask:
         """Where something touches (H, W)."""
-        return self.today.contact(
-            *self.touch, own_sigma=self._sigma("outline"), deepest_sigma=self._sigma("deepest")
-        )
+        depth, sigma, deviations, known = self.touch
+        of_frame = self._sigma("outline"), self._sigma("deepest")
+        return self.today.contact(depth, sigma, deviations, known, *of_frame)
 
     @once
     def touch(self) -> tuple[Map, Any, SlopeDeviations | None, Mask]:
