@@ -34,7 +34,8 @@ PRESSURE_MEANS = Kernel(
 SURE_PRESSURE = Kernel(
     "sure_pressure",
     "f32[...] pressure, f32[...] mean, f32[...] spread, f32[...] sigma, f32[...] slopes, f32[...] noise, "
-    "bool[...]? at_rest, bool[...]? known, out f32[...] sure, out f32[...] evidence, f32 stiffness, f32 factor, f32 mean_gain_at_rest, "
+    "bool[...]? at_rest, bool[...]? known, out f32[...] sure, out f32[...] evidence, "
+    "f32 stiffness, f32 factor, f32 mean_gain_at_rest, "
     "f32 mean_gain_elsewhere, f32 gain_at_rest, f32 gain_elsewhere",
 )
 CONTACT_OUTLINE = Kernel(
