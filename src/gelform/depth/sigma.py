@@ -120,12 +120,13 @@ class DepthErrors:
     @cached_property
     def common_mm(self) -> Map:
         """Depth that all slopes in proportion and steep ones may be off by together, one standard deviation; 0 at rest."""
-        return np.float32(self.gain_sigma) * self.means[0] + self._integrated(self.means[1:3])
+        in_proportion = np.float32(self.gain_sigma) * self.means[0]
+        return self._over_rest(in_proportion + self._integrated(self.means[1:3]))
 
     @cached_property
     def steep_mm(self) -> Map:
         """The same of steep slopes alone."""
-        return self._integrated(self.means[3:5])
+        return self._over_rest(self._integrated(self.means[3:5]))
 
     @property
     def coarse_variance(self) -> Map:
@@ -169,15 +170,19 @@ class DepthErrors:
         """Depth, mm, of slopes (2, r, c)."""
         if not slopes.any():
             return np.zeros_like(self.spread)
-        depth = self.coarse.depth_px(np.ascontiguousarray(np.moveaxis(slopes, 0, -1)))
-        # The largest part at rest is where depth is 0, whatever faces beside it are. One behind walls, as the top of a
-        # punch, is as wrong as they are.
+        return self.coarse.depth_px(np.ascontiguousarray(np.moveaxis(slopes, 0, -1))) * self.mm_per_px
+
+    def _over_rest(self, depth: Map) -> Map:
+        """A depth (r, c), 0 in the largest part at rest, whatever faces beside it are.
+
+        A part behind walls, as the top of a punch, is as wrong as they are.
+        """
         parts, labels = cv2.connectedComponents((self.means[5] > 0.5).view(np.uint8), connectivity=4)
-        if parts > 1:
+        if parts > 1 and depth.any():
             largest = labels == 1 + np.bincount(labels.ravel())[1:].argmax()
             depth -= np.median(depth[largest])
             depth[largest] = 0
-        return depth * self.mm_per_px
+        return depth
 
 
 def squared_factor(square: Map, own: Map, per_unit: Floats) -> Map:
