@@ -37,7 +37,7 @@ import scipy.sparse.linalg  # noqa: F401  # each child would load these again
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "gelform"
 DATA = Path(os.environ.get("GELFORM_DATA", ROOT.parent / "shared" / "data"))
-ROOMS = ("image", "slopes", "depth", "motion", "calibration")
+ROOMS = ("image", "slopes", "depth", "calibration")
 SETS = ("mini-ball", "digit-ball", "gelslim-dots", "mini-d", "homemade-even/a")
 PRESSES, FRAMES, FACTOR = 13, 3, 1.2
 PLAIN = {0, 1, 2, 3, 4, 8, 16, 90, 100, 180, 255, 256, 360, 0.5, 0.25, 1024}
@@ -169,23 +169,6 @@ def of_frames(name: str, calibration: Any) -> dict[str, Any]:
     return figures
 
 
-def of_motion(calibration: Any) -> dict[str, Any]:
-    """Poses between frames of a clip, in which an object begins in contact: the first frame is its background."""
-    import gelform
-
-    video = gelform.Video(DATA / "slip" / "clips" / "avocado_real_1.avi")
-    images = [frame.image for frame in video.frames()][::8]
-    reconstruct, figures = gelform.Reconstructor(calibration).with_background(images[-1]), {}
-    results = [reconstruct(image) for image in images[:FRAMES]]
-    for k, other in enumerate(results[1:]):
-        motion = gelform.motion_between(results[k], other)
-        figures |= {f"state {k}": motion.state, f"shared {k}": motion.shared}
-        if motion.pose is not None:
-            figures |= {f"shift {k}": float(np.linalg.norm(motion.pose[:3, 3]))}
-            figures |= {f"sigma {k}": float(np.sqrt(np.trace(motion.covariance[:3, :3])))}
-    return figures
-
-
 def figures_of(room: str, calibrations: dict[str, bytes]) -> dict[str, Any]:
     """All figures of a room, by set and name; the name of an error in their place where there is one."""
     found: dict[str, Any] = {}
@@ -193,12 +176,8 @@ def figures_of(room: str, calibrations: dict[str, bytes]) -> dict[str, Any]:
         try:
             if room == "calibration":
                 figures = of_presses(name)
-            elif room != "motion":
-                figures = of_frames(name, pickle.loads(calibrations[name]))
-            elif name == "mini-ball":  # the clips are of a Mini
-                figures = of_motion(pickle.loads(calibrations[name]))
             else:
-                continue
+                figures = of_frames(name, pickle.loads(calibrations[name]))
         except Exception as problem:  # a trial may make the work impossible, which is its figure
             figures = {"error": f"{type(problem).__name__}: {problem}"[:80]}
         found |= {f"{name} {key}": value for key, value in figures.items()}
