@@ -328,6 +328,29 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(kind, workers, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+# A signal as a module is imported: the command line, a library under it, and what the command itself needs.
+INTERRUPTED = """
+import os, signal, sys
+class Interrupting:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            sys.meta_path.remove(self)
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupting())
+sys.argv = ["gelform", "reconstruct", "a.png", "-c", "c.npz", "-o", "o"]
+from gelform.__main__ import run
+run()
+"""
+
+
+@ON_POSIX
+@pytest.mark.parametrize("module", ["gelform.cli", "numpy", "gelform.cli.app", "gelform.reconstruct"])
+def test_an_interrupt_while_modules_are_imported_is_one_line(module, tmp_path):
+    command = [sys.executable, "-c", INTERRUPTED.format(module=module)]
+    ran = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=240)
+    assert (ran.returncode, ran.stdout, ran.stderr) == (130, "", "gelform: interrupted.\n")
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no terminals here")
 def test_a_terminal_that_closes_ends_a_recording_with_its_index(tmp_path):
