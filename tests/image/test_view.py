@@ -350,6 +350,26 @@ def test_the_matrix_of_opencv_rectifies_as_it_does(form):
     assert View.from_dict(view.to_dict()).lens == view.lens
 
 
+def test_four_corners_are_those_of_the_image():
+    frame = np.zeros((120, 160, 3), np.float32)
+    corners = [[20, 10], [140, 6], [150, 110], [12, 100]]
+    for k, (x, y) in enumerate(corners):
+        cv2.circle(frame, (x, y), 4, (50.0 + 50 * k,) * 3, -1)
+    view = View.from_dict({"frame_shape": [120, 160], "rectify": corners})
+    image = image_from_frame(frame, view)
+    np.testing.assert_allclose(image.shape[:2], (97.0, 130.0), atol=1)
+    assert [round(float(image[y, x, 0])) for y, x in ((0, 0), (0, -1), (-1, -1), (-1, 0))] == [
+        50,
+        100,
+        150,
+        200,
+    ]
+    assert View.from_dict(view.to_dict()) == view
+    for wrong in (corners[::-1], [corners[0]] * 4):
+        with pytest.raises(ValueError, match="upper left, upper right, lower right, lower left"):
+            View.from_dict({"frame_shape": [120, 160], "rectify": wrong})
+
+
 @pytest.mark.parametrize("wrong", [[1.0] * 8, "x", [0.0] * 9, [[1, 0], [0, 1]]])
 def test_a_matrix_that_rectifies_nothing_is_refused(wrong):
     with pytest.raises(ValueError, match=r"perspective as 9 finite numbers|can be undone"):

@@ -237,6 +237,25 @@ def _lens_of_matrix(matrix: Any) -> Lens:
     return replace(given, perspective=tuple((back / back[2, 2] if back[2, 2] else back).ravel().tolist()))
 
 
+def _matrix_of_corners(corners: Any) -> tuple[Any, tuple[float, ...]] | None:
+    """OpenCV's matrix that makes four corners (4, 2), px, a rectangle of their mean sides, and its crop; None for a matrix."""
+    try:
+        points = np.asarray(corners, dtype=np.float32)
+    except (TypeError, ValueError):
+        return None
+    if points.shape != (4, 2):
+        return None
+    sides = np.linalg.norm(points - np.roll(points, -1, axis=0), axis=1)
+    width, height = (float(sides[k] + sides[k + 2]) / 2 for k in (0, 1))
+    if not (cv2.isContourConvex(points) and cv2.contourArea(points, oriented=True) > 0):
+        raise ValueError(
+            "Expected rectify as the corners [x, y] of the gel: upper left, upper right, lower right, lower left, got "
+            f"{points.tolist()}, which do not go around it so."
+        )
+    rectangle = np.array([(0, 0), (width, 0), (width, height), (0, height)], dtype=np.float32)
+    return cv2.getPerspectiveTransform(points, rectangle), (0.0, 0.0, width + 1, height + 1)
+
+
 THUMBNAIL_PX = 240  # a picture's width in a notebook
 PIXEL_VARIANCE = 1 / 12  # px^2, of a place that is anywhere in a pixel
 
@@ -379,11 +398,16 @@ class View:
     def from_dict(cls, settings: Mapping[str, Any]) -> View:
         """A view from `to_dict` or the `[view]` table of a `sensor.toml`; an unknown key is a ValueError.
 
-        `rectify`, in the place of `lens`, is the matrix that OpenCV's `warpPerspective` takes: frame to rectified pixels.
+        `rectify`, in the place of `lens`, is the matrix that OpenCV's `warpPerspective` takes: frame to rectified pixels. Or
+        it is the gel's four corners [x, y] in the frame, px, from the upper left clockwise: the image is the gel alone.
         """
         if "rectify" in settings and "lens" not in settings:
-            settings = {**settings, "lens": _lens_of_matrix(settings["rectify"])}
-            del settings["rectify"]
+            settings = dict(settings)
+            given = settings.pop("rectify")
+            if found := _matrix_of_corners(given):
+                given, crop = found
+                settings.setdefault("crop", crop)
+            settings["lens"] = _lens_of_matrix(given)
         known = [field.name for field in fields(cls)]
         unknown = [name for name in settings if name not in known]
         if unknown:
