@@ -238,7 +238,7 @@ def _lens_of_matrix(matrix: Any) -> Lens:
 
 
 def _matrix_of_corners(corners: Any) -> tuple[Any, tuple[float, ...]] | None:
-    """OpenCV's matrix that makes four corners (4, 2), px, a rectangle of their mean sides, and its crop; None for a matrix."""
+    """OpenCV's matrix that makes four corners (4, 2), px, a rectangle, and its crop; None for a matrix."""
     try:
         points = np.asarray(corners, dtype=np.float32)
     except (TypeError, ValueError):
