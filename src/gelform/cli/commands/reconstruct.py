@@ -409,8 +409,9 @@ def _report_batch(summary: BatchSummary, output: Path, max_errors: int, quiet: b
     say(f"{counted(summary.frames, 'frame')} done{before}; {summary.errors} with errors.", quiet)
     if summary.stopped:
         say(
-            f"gelform: error: {counted(summary.errors, 'frame')} with errors, over what --max-errors {max_errors} allows. "
-            f"The finished parts and the reasons are in {output / 'parts'}. Fix the files or allow more errors, and run again."
+            f"gelform: error: {counted(summary.errors, 'frame')} with errors, more than --max-errors {max_errors} "
+            f"allows. The finished parts and the reasons are in {output / 'parts'}. Fix the files or allow more errors, and "
+            "run again."
         )
     elif summary.complete:
         sheet = output / SHEET  # not written where no frame has depth
