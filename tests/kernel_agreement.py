@@ -23,9 +23,14 @@ def usable_isas() -> list[str]:
 
 
 def declarations() -> dict[str, tuple[str, Kernel]]:
-    """Exported name -> the variable that holds its kernel in Python, and the kernel."""
+    """Exported name -> the variable that holds its kernel in Python, and the kernel.
+
+    Tests hold those that other kernels call as their steps.
+    """
     found = {}
-    for path in sorted(Path(gelform.__file__).parent.rglob("*.py")):
+    for path in sorted(
+        (*Path(gelform.__file__).parent.rglob("*.py"), *Path(__file__).parent.rglob("test_*.py"))
+    ):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.Assign) and ast.unparse(node.value).startswith("Kernel("):
                 name, declaration = (ast.literal_eval(argument) for argument in node.value.args)
