@@ -225,6 +225,32 @@ def test_nothing_unseen_is_in_the_image():
     assert (there < [319.6, 239.6]).all()
 
 
+class Pins:
+    """The face of 7x5 round pins of 0.5 mm radius, 1.8 mm apart."""
+
+    def face_mm(self, x_mm, y_mm):
+        off = [
+            np.abs(along - 1.8 * np.clip(np.rint(along / 1.8), -n, n)) for along, n in ((x_mm, 3), (y_mm, 2))
+        ]
+        square = 0.25 - off[0] ** 2 - off[1] ** 2
+        return np.where(square > 0, np.sqrt(np.maximum(square, 0)) - 0.5, -np.inf)
+
+
+@pytest.mark.linear_algebra
+@pytest.mark.parametrize("layout", ["three-edges", "ring-120"])
+def test_pins_that_are_pressed_in_are_dots_against_the_gel_at_rest(layout):
+    sensor, rng = LAYOUTS[layout], np.random.default_rng(0)
+    rest = simulate_background(sensor, rng)
+    image = simulate_press(sensor, Pins(), depth_mm=0.1, rng=rng, spin_deg=4.0).image
+    how = {"pitch_mm": 1.8, "kind": "dots", "background": rest}
+    found = view_from_grid([image], pattern=(7, 5), **how)
+    assert found.scale.mm_per_px == pytest.approx(sensor.mm_per_px, rel=0.005)
+    with pytest.raises(DataError, match=r"dots of 9x7 points in grid image 1, found 35 of 63 dots"):
+        view_from_grid([image], pattern=(9, 7), **how)
+    with pytest.raises(ValueError, match="kind 'dots' with a background"):
+        view_from_grid([image], pattern=(7, 5), pitch_mm=1.8, background=rest)
+
+
 @pytest.mark.linear_algebra
 def test_what_is_no_grid_is_refused():
     frame = seen_through(LENS, pose(), "checkerboard")

@@ -20,7 +20,7 @@ from gelform.foundations.checks import (
     check_positive,
     check_within,
 )
-from gelform.image.background import ChangeSettings, PreparedBackground
+from gelform.image.background import CHANGE_OFFSET, ChangeSettings, PreparedBackground
 from gelform.image.view import Lens, View
 from gelform.sensors.profiles import profile_named
 
@@ -253,8 +253,9 @@ def view_from_grid(
     pitch_mm: float,
     kind: Literal["checkerboard", "dots"] = "checkerboard",
     pitch_sigma_mm: float | None = None,
+    background: ArrayLike | None = None,
 ) -> GridView:
-    """Measure the lens and the scale from images of a regular grid.
+    """Measure the lens and the scale from images of a regular grid, printed or of pins that are pressed into the gel.
 
     The first image shows the grid on the gel; it gives the plane and the scale. Further images, of the grid at other
     places or tilts, improve only the distortion. Least squares fit a homography for each image together with
@@ -266,8 +267,9 @@ def view_from_grid(
     images : (H, W, 3) each, RGB, 0-255: whole camera frames, no view applied
     pattern : (columns, rows) of the inner corners of a checkerboard, or of the dots
     pitch_mm : from corner to corner, or dot to dot; 0.001 to 1000
-    kind : "checkerboard" or "dots" (a square grid of dark dots)
+    kind : "checkerboard" or "dots" (a square grid of dark or bright dots)
     pitch_sigma_mm : standard deviation of the pitch, mm; 0.2 % of it by default
+    background : (H, W, 3), the gel at rest: the dots are then the imprints of pins, which change its color
 
     Raises
     ------
@@ -283,7 +285,17 @@ def view_from_grid(
     frames = [check_image(image, name="grid image") for image in check_list(images, "images")]
     if not frames or any(frame.shape != frames[0].shape for frame in frames):
         raise ValueError("Expected one grid image or more, all of one size.")
-    points = [_points_of_grid(frame, (columns, rows), kind, k) for k, frame in enumerate(frames)]
+    rest = (
+        None if background is None else check_image(background, shape=frames[0].shape[:2], name="background")
+    )
+    if rest is not None and kind != "dots":
+        raise ValueError("Expected kind 'dots' with a background: imprints of pins are dots.")
+    # An eighth of the dots' mean pitch, if they fill the image, joins the sides of an imprint.
+    blur_px = float(np.sqrt(frames[0][..., 0].size / (columns * rows))) / 8
+    points = [
+        _points_of_grid(_gray(frame, rest, blur_px), (columns, rows), kind, k)
+        for k, frame in enumerate(frames)
+    ]
     y, x = np.mgrid[:rows, :columns] * pitch
     grid = np.stack([x.ravel() - x.mean(), y.ravel() - y.mean()], axis=1)
     shape = (frames[0].shape[0], frames[0].shape[1])
@@ -303,11 +315,24 @@ def view_from_grid(
     return GridView(view, scale, residual, residual * mm_per_px, len(grid) * len(points))
 
 
+def _gray(frame: NDArray[Any], rest: NDArray[Any] | None, blur_px: float) -> NDArray[np.uint8]:
+    """The gray levels (H, W) of a frame; against the gel at rest, how much its color changed.
+
+    An imprint has a bright and a dark side, and the same change all around its middle.
+    """
+    if rest is None:
+        return np.asarray(cv2.cvtColor(frame.astype(np.uint8), cv2.COLOR_RGB2GRAY))
+    change = (frame.astype(np.float32) - rest) / (rest.astype(np.float32) + CHANGE_OFFSET)
+    change -= np.median(change, axis=(0, 1))
+    size = cv2.GaussianBlur(np.linalg.norm(change, axis=-1), (0, 0), blur_px)
+    return np.rint(255 * size / max(float(size.max()), 1e-6)).astype(np.uint8)
+
+
 def _points_of_grid(
-    frame: NDArray[Any], pattern: tuple[int, int], kind: str, number: int
+    gray: NDArray[np.uint8], pattern: tuple[int, int], kind: str, number: int
 ) -> NDArray[np.float64]:
     """(N, 2) points, x and y, row by row of the pattern."""
-    gray = cv2.cvtColor(frame.astype(np.uint8), cv2.COLOR_RGB2GRAY)
+    seen = "none"
     if kind == "checkerboard":
         flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
         found, points = cv2.findChessboardCornersSB(gray, pattern, flags=flags)
@@ -324,14 +349,21 @@ def _points_of_grid(
         settings.minArea, settings.maxArea = 8.0, max(gray.size / 40, 9.0)
         settings.minDistBetweenBlobs = 3.0
         settings.thresholdStep = 5.0
-        detector = blobs.SimpleBlobDetector_create(settings)
-        found, points = cv2.findCirclesGrid(
-            gray, pattern, flags=cv2.CALIB_CB_SYMMETRIC_GRID, blobDetector=detector
-        )
+        detector, counts = blobs.SimpleBlobDetector_create(settings), []
+        for side in (gray, 255 - gray):  # dark dots, or bright ones
+            found, points = cv2.findCirclesGrid(
+                side, pattern, flags=cv2.CALIB_CB_SYMMETRIC_GRID, blobDetector=detector
+            )
+            if found:
+                break
+            counts.append(len(detector.detect(side)))
+        seen = f"{max(counts, default=0)} of {pattern[0] * pattern[1]} dots"
     if not found:
+        noun, count = ("dots", "of dots") if kind == "dots" else ("a checkerboard", "that of inner corners")
+        pins = " Imprints of pins need the background, the gel at rest." if kind == "dots" else ""
         raise DataError(
-            f"Expected a {kind} of {pattern[0]}x{pattern[1]} points in grid image {number + 1}, found none. Is the "
-            "whole grid in the image, evenly lit, and the count that of inner corners (one less than squares)?"
+            f"Expected {noun} of {pattern[0]}x{pattern[1]} points in grid image {number + 1}, found {seen}. Is the whole grid "
+            f"in the image, evenly lit, and the count {count}?{pins}"
         )
     return np.asarray(points, dtype=np.float64).reshape(-1, 2)
 

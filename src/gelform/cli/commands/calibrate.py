@@ -253,17 +253,22 @@ def lens(
     grid: Annotated[str, option("CxR", "Inner corners of the grid, such as 9x6; or its dots.")],
     pitch_mm: Annotated[float, number("Pitch of the grid, mm.")],
     dots: Annotated[bool, Option("--dots", help="The grid has dots, not a checkerboard.")] = False,
+    background: Annotated[
+        Path | None,
+        Option("--background", metavar="IMG", help="Gel at rest, for --dots: the dots are imprints of pins."),
+    ] = None,
     shown: ShownOption,
 ) -> None:
     """Measure the lens, so that `calibrate` undoes it.
 
-    Measures distortion, perspective and scale. The first image shows a printed grid on the gel. Further images, tilted or
-    moved, improve the distortion only. The results are added to sensor.toml.
+    Measures distortion, perspective and scale. The first image shows a grid on the gel, printed or of pins that are pressed
+    in. Further images, tilted or moved, improve the distortion only. The results are added to sensor.toml.
 
     \b
     Examples:
       gelform lens presses/ --image grid.png --grid 9x6 --pitch-mm 1
       gelform lens presses/sensor.toml --image flat.png --image tilted.png --grid 12x9 --pitch-mm 0.8 --dots
+      gelform lens presses/ --image pins.png --background rest.png --grid 9x7 --pitch-mm 2 --dots
     """
     try:
         columns, rows = (int(count) for count in grid.split("x"))
@@ -272,9 +277,14 @@ def lens(
     from gelform.calibration.geometry.files import save_grid_view
 
     frames = [gelform.read_image(path) for path in images]
-    with mistakes_in("--image, --grid"):
+    rest = None if background is None else gelform.read_image(background)
+    with mistakes_in("--image, --grid, --background"):
         found = gelform.view_from_grid(
-            frames, pattern=(columns, rows), pitch_mm=pitch_mm, kind="dots" if dots else "checkerboard"
+            frames,
+            pattern=(columns, rows),
+            pitch_mm=pitch_mm,
+            kind="dots" if dots else "checkerboard",
+            background=rest,
         )
     file = save_grid_view(found, place)
     shown.say(f"{found.describe()}.")
