@@ -362,8 +362,8 @@ def _points_of_grid(
         noun, count = ("dots", "of dots") if kind == "dots" else ("a checkerboard", "that of inner corners")
         pins = " Imprints of pins need the background, the gel at rest." if kind == "dots" else ""
         raise DataError(
-            f"Expected {noun} of {pattern[0]}x{pattern[1]} points in grid image {number + 1}, found {seen}. Is the whole grid "
-            f"in the image, evenly lit, and the count {count}?{pins}"
+            f"Expected {noun} of {pattern[0]}x{pattern[1]} points in grid image {number + 1}, found {seen}. Is the "
+            f"whole grid in the image, evenly lit, and the count {count}?{pins}"
         )
     return np.asarray(points, dtype=np.float64).reshape(-1, 2)
 
