@@ -83,6 +83,7 @@ def commands(work: Path, out: Path) -> dict[str, list[str]]:
         "compare": f"compare {work}/image0.png {cal} {cal} -o {out}/compared",
         "explain": f"explain {work}/image0.png {cal} -o {out}/why",
         "export": f"export {work}/result.npz --to tiff -o {out}/depth.tiff",
+        "measure": f"measure {work}/result.npz --line 20,32,60,32 -o {out}/measured --csv {out}/measured.csv",
         "record": f"record {work}/frames -o {out}/recorded.mcap --frames 3",
         "bag": f"bag {work}/frames {cal} -o {out}/bag",
         "track": f"track {work}/frames {cal} -o {out}/track.csv",
