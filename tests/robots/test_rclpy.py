@@ -389,9 +389,10 @@ def test_an_end_while_publishing_is_one_line_and_status_0(listener, started, cal
 @pytest.mark.parametrize("after_s", [0.5, 1.0, 1.5, 2.0])
 def test_ctrl_c_while_it_starts_is_at_most_one_line(started, calibration, after_s):
     """Its imports take a second or two."""
-    node = started(f"calibration:={calibration}", "source:=simulated", "name:=gel")
-    time.sleep(after_s)
-    lines, status = ended(node)
+    with camera_of(REST) as camera:
+        node = started(f"calibration:={calibration}", f"source:={camera.url}", "name:=gel")
+        time.sleep(after_s)
+        lines, status = ended(node)
     assert status in (0, 130), lines
     assert len(lines) <= 1, lines
     assert not any("Traceback" in line for line in lines)
