@@ -27,6 +27,7 @@ from gelform.calibration.selection import Fold, fit, fit_all, make_folds, refine
 from gelform.calibration.start import start_from
 from gelform.calibration.starters import Starter, load_starter, starter_from_calibration
 from gelform.errors import CalibrationError
+from gelform.result.metrics import OFF_CONTACT
 from presses import DATA, data_is_missing, labeled, mini_ball, unlabeled
 from real_frames.beyond import slopes_inside, sure_inner
 from report import command_line, parts_asked, recorded, table, write
@@ -57,7 +58,7 @@ def judged(calibration: gelform.Calibration, presses: Presses, edge: float) -> d
         rows.append(scored((press, result), press.label, pitch, edge))
         _, off, _ = slopes_inside(press, result, edge)
         y, x = np.ogrid[: result.depth_mm.shape[0], : result.depth_mm.shape[1]]
-        far = np.hypot(x - press.label[0], y - press.label[1]) > 2.5 * press.label[2]
+        far = np.hypot(x - press.label[0], y - press.label[1]) > OFF_CONTACT * press.label[2]
         stated = 1e3 * float(np.sqrt(np.square(result.depth_sigma_mm[far]).mean())) if far.any() else np.nan
         shares = 100 * (off <= 1).mean(), 100 * (off <= 2).mean(), 100 * sure_inner(result, press)
         within.append((*shares, stated))

@@ -37,7 +37,7 @@ from gelform.calibration.presses.press_set import (
     check_ball_diameter,
     presses_from_settings,
 )
-from gelform.calibration.report.content import LIMITS, level_of, report_content, report_coverage
+from gelform.calibration.report.content import COVERED, level_of, report_content, report_coverage
 from gelform.calibration.report.page import report_page
 from gelform.calibration.starters import starter_for, starter_names
 from gelform.calibration_file import Calibration
@@ -152,7 +152,6 @@ LEAST = NEEDED.guided.presses
 LOOK_EVERY_S = 0.08  # s between analyzed frames; an analysis takes some 10 ms
 STILL_LOOKS = 3  # consecutive still frames until a press counts
 NEXT_PLACES = 3  # suggested places on the page: the next one, and those after it
-COVERED = next(limit for limit in LIMITS if limit.name == "covered_percent")
 
 
 @dataclass(frozen=True)

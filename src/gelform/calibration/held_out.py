@@ -126,9 +126,8 @@ def rest_correlation(products: Numbers, length: float) -> tuple[float, float]:
     if products[0] <= 0:
         return 0.0, 0.0
     lags = np.arange(1, len(products))
-    shorts = np.geomspace(
-        shortest := 0.3, max(length / 2, shortest), LENGTHS
-    )  # px, from what noise and blur cause on
+    shortest = 0.3  # px, from what noise and blur cause on
+    shorts = np.geomspace(shortest, max(length / 2, shortest), LENGTHS)
     far = np.exp(-(lags**2) / (2 * length**2))
     return _best_length(shorts, lags, products[1:] / products[0], far)
 

@@ -131,8 +131,8 @@ def start_ridges(presses: int) -> list[float]:
     The other unit counts as much as a part of a press: that of each ridge, times the presses. Folds of few presses cannot
     choose one.
     """
-    parts = (0.6, 0.06, 0.006)[: None if NEEDED.edge.met(presses) else 1]
-    return [part / presses for part in parts]
+    stiffest, *softer = (part / presses for part in (0.6, 0.06, 0.006))
+    return [stiffest, *softer] if NEEDED.edge.met(presses) else [stiffest]
 
 
 class SlopeReader:

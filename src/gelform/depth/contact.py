@@ -291,9 +291,9 @@ class Surround:
         return np.asarray(cv2.resize(image, self._size), dtype=np.float32)
 
 
+MOMENTS = 14  # sums of a region
 # Chosen on every second or third press of six real sensors and on three simulated ones, so that one ball is one contact and
 # frames at rest have none; docs/contacts.md shows the other frames.
-MOMENTS = 14  # sums of a region
 NOISE_FACTOR = 3.5  # standard deviations: pressures over the noise at rest, depths of regions over their own
 MIN_AREA_MM2 = 0.05  # mm^2, area of the smallest contact
 SMOOTHING_PX = 0.7  # px, standard deviation of the Gaussian that smooths before the Laplacian

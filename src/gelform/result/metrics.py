@@ -34,8 +34,8 @@ _ball_center = Kernel(
     "ball_center",
     "f64[n,2] gradients, f64[n] x, f64[n] y, out f64[2] center, f64 radius, f64 scale, i64 rounds",
 )
-# Fraction of the radius: farther out the slopes of a ball are held constant; the same in native/result/metrics/center.c.
 OFF_CONTACT = 2.5  # contact radii, beyond which the gel is at rest
+# Fraction of the radius: farther out the slopes of a ball are held constant; the same in native/result/metrics/center.c.
 STEEPEST_FRACTION = 0.97
 
 

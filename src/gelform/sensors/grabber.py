@@ -147,8 +147,8 @@ class GrabberStats:
 class Grabber(Closing):
     """Reads a source in its own thread and keeps the newest frame, for any number of consumers.
 
-    A source that is lost (unplugged, stopped, only torn frames) is reopened. Attempts are 20 ms apart at first, then at most
-    120 ms. Meanwhile `state` is "reconnecting" and `reason` says why. Frame numbers continue: `Frame.index` never goes back.
+    A source that is lost (unplugged, stopped, only torn frames) is reopened. Attempts are 10 ms apart at first, then at most
+    100 ms. Meanwhile `state` is "reconnecting" and `reason` says why. Frame numbers continue: `Frame.index` never goes back.
     A camera with another serial number does not replace the lost one.
 
     Parameters

@@ -223,8 +223,8 @@ class McapRecording:
 MAGIC = b"\x89MCAP0\r\n"  # at the start and the end of a file (MCAP specification)
 CUT = "The frames before that are read; how many follow is not known."
 METADATA_FILE, METADATA_KEY = "metadata.yaml", "rosbag2_bagfile_information"
-# Bytes of a record or a decompressed chunk; a larger one is damaged and would fill the memory.
 NS_PER_S = 1_000_000_000
+# Bytes of a record or a decompressed chunk; a larger one is damaged and would fill the memory.
 MAX_RECORD_BYTES = 256 * MIB
 SAMPLED_RECORDS = 200  # records that are read to find which pictures a file contains
 

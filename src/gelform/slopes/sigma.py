@@ -16,10 +16,8 @@ from gelform.arrays import Array, Image, Mask, Numbers
 from gelform.foundations.checks import check_values, check_within
 from gelform.image.view import DARK
 
-ONE_SIGMA, TWO_SIGMA = (
-    erf(sqrt(0.5)),
-    erf(sqrt(2)),
-)  # of a normal distribution within one and two standard deviations
+# Of a normal distribution within one and two standard deviations.
+ONE_SIGMA, TWO_SIGMA = erf(sqrt(0.5)), erf(sqrt(2))
 MIN_IN_BIN = 50  # pixels; fewer do not determine a quantile
 LEAST_SIGMA = 1e-5  # mm/mm, least deviation: float32 rounds slopes to less
 LEAST_FACTOR = 0.3  # smallest factor of solved slopes; errors that have no curl stay

@@ -424,17 +424,15 @@ def find_by_templates(
 def _noise(pictures: Map, circles: Sequence[Circle | None]) -> Map:
     """Noise (N, H, W, 3) of each pixel: the frame's own, and what changes there in most frames of another place."""
     size = np.abs(pictures)
-    own = np.maximum(SIGMA_OF_MEDIAN * np.median(size, axis=(1, 2)), 0.01)[
-        :, None, None
-    ]  # of the color change
+    of_frames = SIGMA_OF_MEDIAN * np.median(size, axis=(1, 2))
+    own = np.maximum(of_frames, 0.01)[:, None, None]  # of the color change
     if len(size) < 3 or any(one is None for one in circles):
         return np.broadcast_to(own, size.shape).astype(np.float32)
     for one, circle in zip(size, circles):
         assert circle is not None
         one[distances_px(one.shape, *circle[:2]) < 1.2 * circle[2]] = np.nan
-    ordered = np.sort(
-        size, axis=0
-    )  # NaN last, so that np.nanquantile, which takes hundreds of times as long, is a look-up
+    # NaN comes last, so that a quantile of the rest is a look-up; np.nanquantile takes hundreds of times as long.
+    ordered = np.sort(size, axis=0)
     last = np.isfinite(ordered).sum(axis=0, keepdims=True) - 1
     at = np.maximum(0.7 * last, 0)
     low, high = (np.take_along_axis(ordered, f(at).astype(int), axis=0) for f in (np.floor, np.ceil))

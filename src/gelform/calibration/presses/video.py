@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import count as counted
+from itertools import count
 from typing import Any
 
 import cv2
@@ -277,7 +277,7 @@ class _Images:
     def _numbered(self, only: Collection[int] | None) -> Iterator[Frame]:
         numbered: Iterable[tuple[int, Frame]] = enumerate(self._frames)
         if isinstance(self._frames, Film):  # decodes no others
-            numbered = zip(counted() if only is None else sorted(only), self._frames.frames(only))
+            numbered = zip(count() if only is None else sorted(only), self._frames.frames(only))
         for position, frame in numbered:
             check_is(frame, Frame, "each frame")
             if only is None or position in only:

@@ -237,6 +237,7 @@ LIMITS = (
     Limit("scale_percent", "uncertainty of the scale", "%", 1, 3, False,
           "Measure mm_per_px on an object of known size. Write it into sensor.toml, together with mm_per_px_sigma."),
 )  # fmt: skip
+COVERED = next(limit for limit in LIMITS if limit.name == "covered_percent")
 HEADLINE = ("normal_free_deg", "radius_percent")
 # If one is poor, so is the headline, because the other figures rely on the labels.
 REFUTING = ("ball_sigmas",)
@@ -514,8 +515,7 @@ def _judged_gains(content: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _advice(content: Mapping[str, Any], coverage: Coverage) -> dict[str, str]:
     """How often and how deep to press: as often as covers the gel, or the number advised lacks; as deep as most presses."""
     used = [row for row in content["presses"] if row["accepted"]]
-    covered = next(limit for limit in LIMITS if limit.name == "covered_percent")
-    missing = presses_to_cover(coverage, covered.good / 100)
+    missing = presses_to_cover(coverage, COVERED.good / 100)
     more = max(NEEDED.advised.presses - len(used), missing, len(content["coverage"]["next"]))
     scale = content["calibration"]["mm_per_px"]
     balls = np.array([row["ball_diameter_mm"] / 2 for row in used])

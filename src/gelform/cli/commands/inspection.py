@@ -225,12 +225,13 @@ def measure(
       gelform measure out/ --line 120,80,200,80 --json
     """
     from gelform.foundations.files import table_text, written_file
+    from gelform.result.measure import RADII
 
     form = "X1,Y1,X2,Y2"
     given: dict[str, Any] = {
         "lines": [options.numbers(one, form, "--line") for one in line or ()],
         "regions": [options.numbers(one, form, "--region") for one in region or ()],
-        "radius": radius and options.one_of(radius, ("ball", "cylinder"), "--radius"),
+        "radius": radius and options.one_of(radius, RADII, "--radius"),
     }
     paths = [one for path in results for one in (sorted(path.rglob("*.npz")) if path.is_dir() else [path])]
     if not paths:

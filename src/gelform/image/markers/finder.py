@@ -196,7 +196,7 @@ def level_from_image(image: Array) -> Image:
 def _is_of_rubber(warp: Numbers) -> bool:
     """Whether the singular values of a map (2, 2) are within the reach of rubber."""
     stretch = np.linalg.svd(warp, compute_uv=False)
-    return bool(stretch[0] < STRENGTH[1] and stretch[1] > 0.35)
+    return bool(stretch[0] < 2.2 and stretch[1] > 0.35)
 
 
 LEVEL_OFFSET = 5.0  # gray levels; noise of dark pixels is no darkness

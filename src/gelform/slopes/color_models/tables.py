@@ -27,7 +27,6 @@ from gelform.image.view import pixel_positions
 from gelform.slopes.color_models.networks import blocks_of
 from gelform.slopes.color_models.seam import (
     HUBER_SLOPE,
-    MAX_SAMPLES,
     Samples,
     Stored,
     Untuned,
@@ -274,7 +273,7 @@ def _deviation(
 
 NEIGHBORS = 16  # neighbors of a pixel: five times the unknowns of its line
 LEAST_CHANGE = 0.02  # a table spans at least this change either way
-CHUNK = MAX_SAMPLES  # pixels at a time, to limit memory
+CHUNK = 20_000  # pixels at a time, to limit memory
 
 
 @dataclass(frozen=True, eq=False)
