@@ -136,7 +136,7 @@ OTHERS: dict[str, dict[str, Any]] = {
     "scale_from_profile": {"name": "digit"},
     "scale_from_stage": {"distance_mm": 0.8},
     "View": {"frame_shape": SHAPE},
-    "view_from_grid": {"kind": "dots"},
+    "view_from_grid": {"kind": "dots", "background": np.full_like(GRID, GRID.max())},
 }  # fmt: skip
 
 

@@ -278,7 +278,7 @@ def lens(
 
     frames = [gelform.read_image(path) for path in images]
     rest = None if background is None else gelform.read_image(background)
-    with mistakes_in("--image, --grid, --background"):
+    with mistakes_in("--image, --background, --grid"):
         found = gelform.view_from_grid(
             frames,
             pattern=(columns, rows),
