@@ -93,7 +93,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         "untouched pixels": (gelform.reconstruct, "without_bias"),
         "weights": (ReadSlopes, "weights"),
         "anchor at rest": (fixed.depth, "_anchor"),
-        "depth (weighted, anchored), curl": (gelform.depth.integrate.Problem, "solved"),
+        "depth (weighted, anchored), curl": (gelform.depth.integrate.IntegrationProblem, "solved"),
         "slopes of the depth": (gelform.reconstruct, "slopes_of_solution"),
         "noise beyond the usual": (today, "noise_levels"),
         "budget of slopes, confidence": (today, "budget"),
