@@ -166,6 +166,7 @@ class Station:
         ] = []  # called with each shown frame, in the station's thread
         self.turn = threading.Lock()  # held by the one action that changes the station
         self.paused = False  # whether a sensor's picture is held
+        self._shows = threading.RLock()  # a function that gets the frames may hold the picture
         self.moved: MovedSince | None = None  # None if nobody asks
         self.sensor = ""  # the requested starter; "": that of the camera's make
         self.starter_problem = ""  # why there is no starter's calibration
@@ -260,7 +261,8 @@ class Station:
     def pause(self, paused: bool) -> None:
         """Hold the picture, or continue; a recording is held itself."""
         if self.player is None:
-            self.paused = paused
+            with self._shows:  # after it no frame that was in work is shown
+                self.paused = paused
         else:
             self.player.play(not paused)
 
@@ -386,8 +388,9 @@ class Station:
                 shown = pipeline.results.newest(after, WAIT_S)
                 if shown is not None:
                     after = shown.frame.index
-                    if not self.paused:  # frames in work when it was held are not shown
-                        self._show(shown)
+                    with self._shows:
+                        if not self.paused:
+                            self._show(shown)
                 elif pipeline.results.ended:
                     self._switched.wait(WAIT_S)
         finally:

@@ -296,18 +296,14 @@ def test_words_for_a_motion_that_is_awaited_small_or_partly_unseen(visit, statio
     }"""
     page.click("#pause")
     until(lambda: page.evaluate("gelform.facts.stations[0].paused"))
+    until(lambda: page.evaluate("gelform.frame.header.serial") == station.newest.serial)
     ball = [f"turns about the ball's center at (0.1, {y}, -2.6) mm" for y in (-0.4, -0.3)]
     motion = {"state": "found", "why": "", "blind": ball, "path": [], "axes": None}
     motion |= {"shift_mm": [-0.001, 0.3], "shift_sigma_mm": [0.01, 0.01]}
     motion |= {"turn_deg": None, "turn_sigma_deg": None}
     said = "Since the touch: moved 0.30 mm down, how far it turned is not known."
-
-    def says():
-        """Given again: a frame that was on its way at the pause takes the place of the one that was given."""
-        page.evaluate(script, motion)
-        return page.inner_text("#motion") == said
-
-    until(says)
+    page.evaluate(script, motion)
+    until(lambda: page.inner_text("#motion") == said)
     assert page.inner_text("#motion-blind") == "Turns about the ball's center cannot be seen."
     page.click("#motion-more summary")
     assert page.inner_text("#motion-numbers") == "x 0.00 ± 0.01 mm, y 0.30 ± 0.01 mm, turn not known"

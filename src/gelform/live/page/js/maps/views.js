@@ -28,21 +28,25 @@ const rgb = (color) => channels(color.slice(1));
 
 /**
  * Calls back(index, nx, ny, nz) with the unit normal of every pixel, as `gelform.normals_from_gradients(gelform.gradients_from_depth(...))`
- * gives it: (-dz/dx, -dz/dy, 1) / norm, z towards the camera; differences of neighbors, one-sided at the border.
+ * gives it: (-dz/dx, -dz/dy, 1) / norm, z towards the camera; differences of second order, one-sided at the border.
  */
 export function eachNormal(map, pitchX, pitchY, back) {
-  const { width, height, values, step } = map, inside = step / (2 * pitchX), border = step / pitchX;
+  const { width, height, values, step } = map, perX = step / (2 * pitchX), perY = step / (2 * pitchY);
   for (let row = 0; row < height; row++) {
-    const up = row > 0 ? width : 0, down = row < height - 1 ? width : 0;
-    const dy = step / (pitchY * ((up > 0) + (down > 0)));
     for (let column = 0; column < width; column++) {
-      const at = row * width + column, left = column > 0 ? 1 : 0, right = column < width - 1 ? 1 : 0;
-      const p = (values[at + right] - values[at - left]) * (left & right ? inside : border);
-      const q = (values[at + down] - values[at - up]) * dy;
+      const at = row * width + column;
+      const p = difference(values, at, 1, column, width) * perX, q = difference(values, at, width, row, height) * perY;
       const norm = 1 / Math.sqrt(p * p + q * q + 1);
       back(at, -p * norm, -q * norm, norm);
     }
   }
+}
+
+/** The difference over two pixels about one, which is at `place` of a row or column of `size` (3 or more) with neighbors `next` apart. */
+function difference(values, at, next, place, size) {
+  if (place > 0 && place < size - 1) return values[at + next] - values[at - next];
+  const inward = place === 0 ? next : -next, sum = 4 * values[at + inward] - 3 * values[at] - values[at + 2 * inward];
+  return place === 0 ? sum : -sum;
 }
 
 const OPAQUE = 0xff000000; // of an ImageData seen as 32 bits, little end first
