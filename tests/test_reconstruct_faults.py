@@ -234,6 +234,18 @@ def test_black_dots_and_a_corner_that_is_never_lit_clip_nothing_around_them():
         assert not why.maps["dark"].any()
 
 
+def test_an_average_of_presses_is_no_background(calibration, presses):
+    """Each press is an eighth as deep in it, with less structure than half of a press has."""
+    pressed = np.mean([one.image for one in presses.presses[:8]], axis=0)
+    found = {one.name: one for one in gelform.Reconstructor(calibration, background=pressed).findings}
+    assert "more of it, compared with the calibration's" in found["background_touched"].message
+    rest, noise = presses.background.astype(np.float32), np.random.default_rng(1)
+    for gain in (1.0, 0.97):
+        today = np.clip(gain * rest + noise.normal(0, 1.5, rest.shape), 0, 255)
+        names = {one.name for one in gelform.Reconstructor(calibration, background=today).findings}
+        assert "background_touched" not in names
+
+
 @pytest.fixture
 def bare(calibration):
     """The calibration with everything taken away that an importer may not know."""

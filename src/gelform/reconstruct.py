@@ -21,7 +21,12 @@ from gelform.depth.sigma import DepthErrors, DepthSigma, Purpose, contradicted_s
 from gelform.errors import Finding
 from gelform.foundations.checks import check_image
 from gelform.foundations.pool import Pool, keep_freed_memory
-from gelform.image.agreement import background_digest, check_own_background, check_viewed_image
+from gelform.image.agreement import (
+    background_digest,
+    check_own_background,
+    check_viewed_image,
+    touched_finding,
+)
 from gelform.image.background import PreparedBackground, reference_from_color_change
 from gelform.image.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 from gelform.image.light import FrameLight
@@ -331,7 +336,11 @@ class Reconstructor:
         if background is not None:
             today = self._checked(background, "background")
             check_untouched_image(today, calibration.background)
-            self.findings += check_own_background(today, calibration.background)
+            found = check_own_background(today, calibration.background)
+            # Another unit, or a gel that has moved, shows contacts that are none.
+            if not {"background_touched", "background_pattern"} & {one.name for one in found}:
+                found += Reconstructor(calibration)._contact_at_rest(today)
+            self.findings += found
             self.background = today.astype(np.float32)
         self.own_background = background_digest(self.background) == calibration.background_digest
         self._today = FromBackground(self._calibrated, self.background)
@@ -343,6 +352,17 @@ class Reconstructor:
         height, width = self.calibration.image_shape
         whose = "the calibration's" if self.own_background else "a newer"
         return f"Reconstructor({self.calibration.sensor_name}, {height}x{width} px, {whose} background)"
+
+    def _contact_at_rest(self, image: Array) -> tuple[Finding, ...]:
+        """The finding `background_touched` if an image (H, W, 3) of the gel at rest has contacts, such as faint ones."""
+        contacts = [one for one in self.from_image(image).contacts if not one.cut_by_border]
+        if not contacts:
+            return ()
+        first = max(contacts, key=lambda one: one.deepest_mm or 0.0)
+        others = f", and {len(contacts) - 1} more of it" if len(contacts) > 1 else ""
+        deep = "" if first.deepest_mm is None else f" {first.deepest_mm:.2g} mm deep"
+        seen = f"is a contact{deep}{others}, compared with the calibration's"
+        return (touched_finding(first.deepest_px, seen, first.deepest_mm or 0.0),)
 
     def with_background(self, background: Map, usual: FrameLight | None = None) -> Reconstructor:
         """The same Reconstructor for a newer background (H, W, 3), 0-255, of the same gel; nothing is checked.

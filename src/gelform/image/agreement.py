@@ -162,12 +162,18 @@ class SuspectedTouch(NamedTuple):
 
     def finding(self, what: str) -> Finding:
         """The finding `background_touched` about a background image; `what` it was compared with."""
-        message = (
-            f"Something seems to touch the gel in the background image, about ({self.x_px}, {self.y_px}) px: there it has "
-            f"{self.ratio:.1f} times as much structure as elsewhere, compared with {what}. Depth is relative to it. Take it "
-            "again, with nothing touching the gel. A gel that is scratched, dirty or marked there looks the same."
-        )
-        return Finding("background_touched", message, self.ratio)
+        seen = f"it has {self.ratio:.1f} times as much structure as elsewhere, compared with {what}"
+        return touched_finding((self.x_px, self.y_px), seen, self.ratio)
+
+
+def touched_finding(place_px: tuple[int, int], seen: str, figure: float) -> Finding:
+    """The finding `background_touched`, about a place (x, y) in a background image and what is seen there."""
+    message = (
+        f"Something seems to touch the gel in the background image, about ({place_px[0]}, {place_px[1]}) px: there {seen}. "
+        "Depth is relative to it. Take it again, with nothing touching the gel. A gel that is scratched, dirty or marked "
+        "there looks the same."
+    )
+    return Finding("background_touched", message, figure)
 
 
 # px at 240 rows, standard deviations of the Gaussians between which an object has structure: noise is finer, light coarser.
@@ -302,7 +308,7 @@ def check_own_background(background: Array, calibrated: Array) -> tuple[Finding,
     if PATTERN_WARN < differs < inf:
         message = (
             f"Today's background differs from the calibration's by {100 * differs:.1f} % after a common gain "
-            f"({_times(gain.gain)}): half of it by more. The gel or a light has moved, or it "
+            f"({_times(gain.gain)}): half of it by more. The gel or a light has moved, objects touch the gel, or it "
             f"is another unit. {OWN_CALIBRATION}"
         )
         findings.append(Finding("background_pattern", message, differs))
