@@ -179,6 +179,7 @@ SIZES = {
     "polynomial_gradients": lambda s: {"n": 6 * up(s["w"])},
     "pressed_regions": pressed, "rasterise": lambda s: {"count": s["count"] + 3},
     "rest_hold": lambda s: {"n": 9 * s["h"] * half(s["w"]) + 4 * s["h"] * s["w"]},
+    "slope_budget": lambda s: {"parts": 8, "count": 21},
     "slopes_over_rest": lambda s: {"n": 3 * s["r"] * s["k"]}, "root_at_pixels": lambda s: {"n": 4 * s["w"]},
     "spread_over_chosen": lambda s: {"n": 4 * s["w"]},
 }  # fmt: skip
@@ -242,6 +243,7 @@ VALUES = {
     "contact_outline pressure": lambda rng, shape, s: rng.normal(0, 9, shape).clip(0) * some(rng, (shape[0], 1), s),
     "sure_pressure slopes": real(0.05, 1), "pressure_means slopes": real(0.05, 1),
     "slope_budget light": real(0, 1),
+    "slope_budget numbers": lambda rng, shape, s: [*rng.uniform(0.05, 1, 20), rng.integers(1, 6)],
     "pressed_regions depth": lambda *of: 9 * SIGNED(*of) ** 9, "factor": real(0.5, 1), "vertices": real(-1, 40),
     "dct_sweep splits": whole(1, "w"), "gray_levels curve": real(0, 300),
 }  # fmt: skip

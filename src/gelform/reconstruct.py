@@ -36,7 +36,7 @@ from gelform.result import Later, Reconstruction, ShapeErrors
 from gelform.slopes.budget import (
     OUTLIER,
     Budget,
-    ExplainedImage,
+    ExplainedFrame,
     Explanation,
     PreparedBudget,
     ReadSlopes,
@@ -512,14 +512,11 @@ class Reconstructor:
         record = self.record(image)
         seen, slopes, today = record.seen, record.slopes, self._today
         change = today.untouched_image.change(seen.image, seen.light)
-        shown = ExplainedImage(
-            as_levels(seen.raw), change, seen.clipped.channels, seen.markers, seen.faults.lost, today.outside,
-            self.calibration.change.blur_px,
-        )  # fmt: skip
-        noise, light = record.fixed_rows
-        rows = today.budget.frame_rows(slopes, noise, light)
-        budget = today.budget(slopes, noise, light, depth=record.depth_mm, rows=True)
-        return explanation_of(budget, rows, shown, today.budget.full_confidence_sigma)
+        budget = today.budget(slopes, *record.fixed_rows, depth=record.depth_mm, rows=True)
+        return explanation_of(ExplainedFrame(
+            budget, today.budget.full_confidence_sigma, as_levels(seen.raw), change, seen.clipped.channels,
+            seen.markers, seen.faults.lost, today.outside, self.calibration.change.blur_px,
+        ))  # fmt: skip
 
 
 def _prepared_again(

@@ -10,7 +10,7 @@ import pytest
 
 import gelform
 from gelform.exchange.plots import (
-    COLORS,
+    USUAL_COLOR,
     _headline_of_result,
     _round_length,
     canvas,
@@ -25,8 +25,7 @@ from gelform.exchange.plots import (
 )
 from gelform.image.markers import MarkerFlow
 from gelform.result import Reconstruction
-from gelform.slopes.budget import Explanation
-from gelform.slopes.sigma import CAUSES
+from gelform.slopes.budget import CAUSES, Explanation
 
 pytest.importorskip("matplotlib", reason="pictures need the extra 'plots'")
 
@@ -208,7 +207,8 @@ def test_each_cause_that_is_there_has_a_panel_and_a_color():
     two = explanation_picture(explained("marker", "saturated"), image)
     right = two[two.shape[0] // 2 + 40 :, round(0.62 * two.shape[1]) :]  # the bar stands beside the last map
     assert right.min() == 255
-    assert len(COLORS) == len(set(COLORS)) == 1 + len(CAUSES)
+    colors = {USUAL_COLOR, *(cause.color for cause in CAUSES.values())}
+    assert len(colors) == 1 + len(CAUSES)
     with pytest.raises(ValueError, match="40x72"):
         explanation_picture(explained(), image[:8, :8])
 

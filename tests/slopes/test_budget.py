@@ -27,6 +27,7 @@ from gelform.slopes.budget import (
     USUAL_LEVELS,
     PreparedBudget,
     ReadSlopes,
+    names_in_budget,
     noise_at_rest,
     slopes_of_ball,
     without_bias,
@@ -83,19 +84,24 @@ def test_rows_add_up_in_squares():
     )  # fmt: skip
     made = prepared(spread=0.1, carried=0.5, slope_per_change=1.5)
     light = rng.uniform(0, 0.02, SHAPE).astype(np.float32)
-    found, rows = made(slopes, 3.0, light, rows=True), made.frame_rows(slopes, 3.0, light)
+    found = made(slopes, 3.0, light, rows=True)
+    rows = {name: one.astype(float) for name, one in found.rows.items()}
     law = prepared(walls=False)(replace(slopes, residual=None, unseen=None)).read
-    unseen = np.where(patch(), CLEAN**2 / LEAST_WEIGHT, 0)
-    parts = [law, found.walls, found.outliers, rows["light"], rows["compression"]]
-    read = np.sqrt(sum(np.square(one.astype(float)) for one in parts) + unseen)
+    np.testing.assert_allclose(rows["law"], law, rtol=1e-5)
+    np.testing.assert_allclose(rows["unseen"], np.where(patch(), CLEAN / LEAST_WEIGHT**0.5, 0), rtol=1e-5)
+    np.testing.assert_array_equal(rows["light"], light)
+    np.testing.assert_allclose(rows["unit"], 0.1 * np.linalg.norm(slopes.gradients, axis=-1), rtol=1e-5)
+    read = np.sqrt(sum(np.square(one) for name, one in rows.items() if name not in ("unit", "steep")))
     np.testing.assert_allclose(found.read, read, rtol=1e-4)
+    np.testing.assert_allclose(found.steep, rows["steep"])
     whole = read**2 + np.square(found.steep) + np.square(rows["unit"])
     np.testing.assert_allclose(found.confidence, np.minimum(1, CLEAN**2 / whole), rtol=1e-3)
     solved = np.sqrt(np.minimum(0.64 * read**2, STEEPEST_GEL**2) + np.square(rows["unit"]))
     np.testing.assert_allclose(found.solved, solved, rtol=1e-4)
     np.testing.assert_allclose(found.gradients_sigma[..., 1], np.hypot(found.solved, found.steep), rtol=1e-5)
-    assert all(one.any() for one in (*parts, found.steep, rows["unit"]))
+    assert all(one.any() for one in rows.values())
     plain = made(slopes, 3.0, light)  # asking why changes nothing
+    assert not plain.rows
     np.testing.assert_array_equal(plain.confidence, found.confidence)
 
 
@@ -107,7 +113,7 @@ def test_a_weight_says_no_slope_here_and_nothing_else():
     wanted = np.where(patch(), LEAST_WEIGHT, CLEAN**2 / (CLEAN**2 + off**2))
     np.testing.assert_allclose(weight, wanted, rtol=1e-4)
     found = prepared()(slopes, rows=True)
-    np.testing.assert_allclose(found.outliers, np.where(patch(), 0, off), atol=1e-5)
+    np.testing.assert_allclose(found.rows["outlier"], np.where(patch(), 0, off), atol=1e-5)
 
 
 def test_a_model_s_own_deviation_counts_where_it_is_larger():
@@ -132,18 +138,18 @@ def wall(height=0.8):
 
 
 def test_a_wall_two_pixels_wide_is_doubted_beside_its_edges_alone():
-    found = prepared()(slopes_of(wall()), rows=True).walls
+    found = prepared()(slopes_of(wall()), rows=True).rows["wall"]
     one, both = (ERROR_OF_DIFFERENCE * (size - DIFFERENCE_FROM) for size in (0.8 / np.sqrt(2), 0.8))
     np.testing.assert_allclose(found[5, 27:35], [0, one, one, both, both, one, one, 0], rtol=1e-5)
     assert not found[:, [*range(28), *range(34, SHAPE[1])]].any()
-    assert not prepared(walls=False)(slopes_of(wall()), rows=True).walls.any(), "the blur is unknown"
+    assert not prepared(walls=False)(slopes_of(wall()), rows=True).rows["wall"].any(), "the blur is unknown"
 
 
 @pytest.mark.parametrize("radius_px", [40.0, 60.0])
 def test_a_ball_is_no_wall_up_to_its_rim(radius_px):
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
     found = prepared()(slopes_of(ball_gradients(x, y, (36.0, 20.0), radius_px)), rows=True)
-    assert not found.walls[np.hypot(x - 36, y - 20) < 0.4 * radius_px].any()
+    assert not found.rows["wall"][np.hypot(x - 36, y - 20) < 0.4 * radius_px].any()
 
 
 def test_noise_becomes_slope_by_gain_and_worth():
@@ -151,7 +157,8 @@ def test_noise_becomes_slope_by_gain_and_worth():
     background[:, 36:] = 50
     made = prepared(background=background, slope_per_change=1.5)
     gain = gain_from_background(background, CHANGE).mean(axis=-1)
-    np.testing.assert_allclose(made.frame_rows(slopes_of(), 4.0, None)["compression"], 6 * gain, rtol=1e-5)
+    found = made(slopes_of(), 4.0, rows=True).rows["compression"]
+    np.testing.assert_allclose(found, 6 * gain, rtol=1e-5)
 
 
 def steep_at(slopes, **unit):
@@ -212,11 +219,14 @@ def numpy_weights(residual, of_model, unseen, weight, outlier, unknown, full, le
 
 def numpy_budget(
     gradients, at_rest, rest, of_step, of_model, residual, unseen, gain, light, read, solved, steep, whole, confidence,
-    walls, outliers, per_step, per_size, factor, unknown, outlier, unseen_sigma, full, noise, per_bend,
-    bend_from, spread, shown, per_excess, doubted, steepest, carried, ball_x, ball_y, ball_radius, of_ball, reach,
+    rows, numbers,
 ):  # fmt: skip
     """What the kernel should give, in float64."""
-    g, (height, width) = gradients.astype(float), at_rest.shape
+    (
+        per_step, per_size, factor, unknown, outlier, unseen_sigma, full, noise, per_bend, bend_from, spread, shown,
+        per_excess, doubted, steepest, carried, ball_x, ball_y, ball_radius, of_ball, reach,
+    ) = numbers.astype(float)  # fmt: skip
+    g, (height, width), reach = gradients.astype(float), at_rest.shape, int(reach)
     square, size = np.zeros(at_rest.shape), np.linalg.norm(g, axis=-1)
     for a, b in np.ndindex(height, width):
         for y, x in ((a - reach, b), (a + reach, b), (a, b - reach), (a, b + reach)):
@@ -244,11 +254,34 @@ def numpy_budget(
         np.sqrt(total), np.sqrt(of_solved), np.sqrt(missing), np.sqrt(of_solved + missing),
         np.minimum(full**2 / (total + unit + missing), 1),
     ]  # fmt: skip
-    return (*maps, np.sqrt(bend), np.sqrt(off))
+    of_light = 0 * law if light is None else light.astype(float)
+    parts = law, (noise * gain) ** 2, bend, off, of_light**2, nothing * unseen_sigma**2, unit, missing
+    return (*maps, np.sqrt(parts))
+
+
+def test_the_kernel_tells_what_it_takes_and_adds():
+    """So a number or a row that it does not have in common with its caller cannot be passed."""
+    numbers, rows = names_in_budget()
+    assert set(numbers) == {*prepared()._numbers, "outlier", "noise"}
+    assert rows == ("law", "compression", "wall", "outlier", "light", "unseen", "unit", "steep")
+    wrong = [np.zeros(len(numbers) + 1, np.float32), np.zeros(0, np.float32)]
+    maps = [np.zeros((3, 4), np.float32) for _ in range(5)]
+    for one in wrong:
+        with pytest.raises(ValueError, match="do not fit"):
+            budget._slope_budget(
+                np.zeros((3, 4, 2), np.float32), np.zeros((3, 4), bool), maps[0], None, None, None, None, maps[0], None,
+                *maps, None, one,
+            )  # fmt: skip
 
 
 def test_the_kernels_agree_with_numpy():
     assert_kernel_agrees(budget._slope_budget, numpy_budget)
+    text = " ".join(sum(names_in_budget(), ()))
+    assert_kernel_agrees(
+        budget._slope_budget_names,
+        lambda one: np.frombuffer(f" {text}".encode(), np.uint8),
+        np.zeros(len(text) + 1, np.uint8),
+    )
     assert_kernel_agrees(budget._slope_weights, numpy_weights)
     assert_kernel_agrees(budget._slopes_at_rest, numpy_at_rest)
 

@@ -1,5 +1,6 @@
 """An explanation adds up, names what matters, and tells the truth about faults of simulated frames."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,9 +8,21 @@ import pytest
 
 import gelform
 from confidence import faults
+from gelform.cli import options
+from gelform.cli.commands.inspection import explain
+from gelform.exchange.plots import explanation_picture
+from gelform.live.shown import ShownFrame
 from gelform.simulate import Ball, Punch, simulate_press
-from gelform.slopes.budget import LEAST_WEIGHT, Budget, ExplainedImage, Explanation, explanation_of
-from gelform.slopes.sigma import CAUSES
+from gelform.slopes.budget import (
+    CAUSES,
+    LEAST_WEIGHT,
+    Budget,
+    Cause,
+    ExplainedFrame,
+    Explanation,
+    explanation_of,
+    names_in_budget,
+)
 from made.images import PATCHED as SHAPE
 from made.images import patch
 
@@ -41,20 +54,22 @@ UNSEEN_SIGMA = 0.04 / LEAST_WEIGHT**0.5
 
 def shown_as(image=GRAY, color=(0.0, 0.0, 0.0), outliers=0.0, **frame):
     """The maps of a frame whose law says 0.03, with other rows as given."""
-    rows = {name: np.zeros(SHAPE, np.float32) for name in ("light", "compression", "unit")}
-    outliers = np.asarray(outliers * np.ones(SHAPE), np.float32)
     hidden = [frame[name] for name in ("markers", "lost", "outside") if name in frame]
     clipped = frame.get("clipped")
     if clipped is not None:
         hidden.append(clipped.sum(axis=-1) > 1)
     unseen = np.any(hidden, axis=0) if hidden else np.zeros(SHAPE, bool)
-    read = np.sqrt(0.03**2 + outliers**2 + np.where(unseen, UNSEEN_SIGMA**2, 0)).astype(np.float32)
-    zero = np.zeros(SHAPE, np.float32)
-    budget = Budget(read, read, zero, read, np.ones(SHAPE, np.float32), zero, outliers)
+    rows = {name: np.zeros(SHAPE, np.float32) for name in names_in_budget()[1]}
+    rows["law"] += np.float32(0.03)
+    rows["outlier"] += np.float32(outliers)
+    rows["unseen"] += np.float32(UNSEEN_SIGMA) * unseen
+    read = np.sqrt(sum(np.square(one) for one in rows.values()))
+    budget = Budget(read, read, rows["steep"], read, np.ones(SHAPE, np.float32), rows)
     usual = dict.fromkeys(("clipped", "markers", "lost", "outside"))
     change = np.broadcast_to(np.float32(color), GRAY.shape)
-    shown = ExplainedImage(pixels=image, color_change=change, blur_px=1.25, **{**usual, **frame})
-    return explanation_of(budget, rows, shown, 0.04)
+    return explanation_of(
+        ExplainedFrame(budget, 0.04, pixels=image, color_change=change, blur_px=1.25, **{**usual, **frame})
+    )
 
 
 def there(found):
@@ -66,6 +81,31 @@ def test_every_cause_has_its_map_in_the_order_that_pictures_color_them():
     assert list(found.maps) == list(CAUSES)
     assert there(found) == set()
     np.testing.assert_allclose(found.law, 0.03, rtol=1e-5)
+
+
+def test_a_cause_is_one_row_and_its_variance(monkeypatch, reconstruct):
+    """Figures, findings, pictures, the page and the command follow; what has no function is a row of the kernel."""
+    of_kernel = {name for name, cause in CAUSES.items() if cause.of is None}
+    assert {*of_kernel, "law", "outlier", "unseen"} == set(names_in_budget()[1])
+    assert tuple(CAUSES) == options.CAUSES
+    assert all(re.search(rf"\b{name}\b", explain.__doc__) for name in CAUSES)
+    dusty = Cause("dusty.", 0.35, "#123456", lambda frame: frame.hidden(patch()))
+    monkeypatch.setitem(CAUSES, "dust", dusty)
+    found = shown_as(outside=patch())
+    assert list(found.maps) == list(found.to_dict()["variance_shares"])[1:] == list(CAUSES)
+    np.testing.assert_allclose(found.maps["dust"], UNSEEN_SIGMA * patch(), rtol=1e-6)
+    assert "dusty." in found.findings[-1].message
+    assert found.to_dict()["findings"][-1]["name"] == "dust"
+    found.maps["outside"][...] = 0
+    assert (found.dominant[patch()] == len(CAUSES)).all()
+    picture = explanation_picture(found, GRAY)
+    assert (picture == (0x12, 0x34, 0x56)).all(axis=-1).sum() > 100
+    frame = gelform.Frame(GRAY, 0.0, 0, 0)
+    page = ShownFrame(0, frame, GRAY, reconstruct.from_image(reconstruct.background), explain=lambda: found)
+    header, (plane,) = page.header(), page.planes(["causes"], "raw")
+    assert (header["causes"][-1], header["cause_colors"][-1]) == ("dust", "#123456")
+    bits = np.frombuffer(plane.data, np.uint16)
+    assert np.array_equal((bits >> (len(CAUSES) - 1)) > 0, patch().ravel())
 
 
 @pytest.mark.parametrize(

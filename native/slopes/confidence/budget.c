@@ -4,14 +4,35 @@
 
 enum { PIECE = 64 };  // pixels of a row at a time
 
-struct budget {
-  float per_step, per_size, solved, unknown, outlier, unseen, full, noise, per_bend, bend_from, spread, shown,
-      per_excess, doubted, steepest, carried, ball_x, ball_y, ball_radius, of_ball;
-  int32_t reach;
+// What the rows are computed with, in the order of the caller's array, which `slope_budget_names` tells.
+#define NUMBERS(NUMBER)                                                                                                        \
+  NUMBER(per_step) NUMBER(per_size) NUMBER(solved_factor) NUMBER(unknown) NUMBER(outlier) NUMBER(unseen_sigma) NUMBER(full)   \
+  NUMBER(noise) NUMBER(per_bend) NUMBER(bend_from) NUMBER(spread) NUMBER(shown) NUMBER(per_excess) NUMBER(doubted)            \
+  NUMBER(steepest) NUMBER(carried) NUMBER(ball_x) NUMBER(ball_y) NUMBER(ball_radius) NUMBER(of_ball) NUMBER(reach)
+
+// The rows in the order in which they are added: each has a function `variance_of_...`, and raises the deviation of the slopes as
+// they were READ (and all that follow), of the SOLVED depth's slopes too (and all), or only that of the WHOLE.
+#define ROWS(ROW)                                                                                                              \
+  ROW(compression, READ) ROW(wall, READ) ROW(outlier, READ) ROW(light, READ) ROW(unseen, READ) ROW(unit, SOLVED)             \
+  ROW(steep, WHOLE)
+
+#define FIELD(name) float name;
+struct numbers {
+  NUMBERS(FIELD)
+};
+enum { NUMBER_COUNT = sizeof(struct numbers) / sizeof(float) };
+
+struct frame {
+  const struct numbers *c;
+  const float *gradients, *rest, *of_step, *of_model, *residual, *gain, *light;  // the maps that a row may read; optional ones NULL
+  const bool *at_rest, *unseen;
+  ptrdiff_t h, w;
 };
 
-struct lines {
-  float bend[2 * PIECE], wall[PIECE], outlier[PIECE], slope[PIECE], read[PIECE];
+struct piece {
+  ptrdiff_t x, y, at;  // its first pixel, and the place of that in a map
+  int n;
+  float slope[PIECE], law[PIECE], read[PIECE];  // squared slope, variance by the law, and with the rows so far
 };
 
 static inline void add_squares(float *restrict sums, const float *restrict here, const float *restrict there, int first, int end) {
@@ -23,117 +44,159 @@ static inline void all_squares(float *restrict sums, const float *restrict at, p
     sums[i] = ((square_of(at[i - across] - at[i]) + square_of(at[i + across] - at[i])) + square_of(at[i - down] - at[i])) + square_of(at[i + down] - at[i]);
 }
 
-// Squares of the differences of the slopes (p, q) from pixel x of row y on to those `reach` pixels away on four sides.
-static inline void find_bend(const struct budget *c, struct lines *restrict l, const float *restrict gradients, ptrdiff_t x,
-                             ptrdiff_t y, ptrdiff_t w, ptrdiff_t h, int n) {
-  const ptrdiff_t reach = c->reach, left = reach - x, right = w - reach - x;
-  const float *at = gradients + 2 * (y * w + x);
+// Squares of the differences of the slopes (p, q) of a piece to those `reach` pixels away on four sides.
+static inline void find_bend(float *restrict bend, const struct frame *f, const struct piece *p) {
+  const ptrdiff_t w = f->w, h = f->h, x = p->x, y = p->y, reach = (ptrdiff_t)f->c->reach, left = reach - x, right = w - reach - x;
+  const float *at = f->gradients + 2 * p->at;
+  const int n = p->n;
   if (n == PIECE && left <= 0 && right >= n && y >= reach && y < h - reach) {  // nearly everywhere
-    all_squares(l->bend, at, 2 * reach, 2 * reach * w);
+    all_squares(bend, at, 2 * reach, 2 * reach * w);
     return;
   }
-  memset(l->bend, 0, sizeof l->bend);
-  if (left < n) add_squares(l->bend, at, at - 2 * reach, 2 * (left > 0 ? (int)left : 0), 2 * n);
-  if (right > 0) add_squares(l->bend, at, at + 2 * reach, 0, 2 * (right < n ? (int)right : n));
-  if (y >= reach) add_squares(l->bend, at, at - 2 * reach * w, 0, 2 * n);
-  if (y < h - reach) add_squares(l->bend, at, at + 2 * reach * w, 0, 2 * n);
+  memset(bend, 0, 2 * PIECE * sizeof *bend);
+  if (left < n) add_squares(bend, at, at - 2 * reach, 2 * (left > 0 ? (int)left : 0), 2 * n);
+  if (right > 0) add_squares(bend, at, at + 2 * reach, 0, 2 * (right < n ? (int)right : n));
+  if (y >= reach) add_squares(bend, at, at - 2 * reach * w, 0, 2 * n);
+  if (y < h - reach) add_squares(bend, at, at + 2 * reach * w, 0, 2 * n);
+}
+
+// At rest by place; elsewhere by the step and the slope's size.
+static inline void variance_by_law(struct piece *restrict p, const struct frame *f) {
+  const float *slopes = f->gradients + 2 * p->at, per_step = f->c->per_step, per_size = f->c->per_size;
+  for (int k = 0; k < p->n; k++) p->slope[k] = square_of(slopes[2 * k]) + square_of(slopes[2 * k + 1]);
+  for (int k = 0; k < p->n; k++) p->law[k] = per_step + per_size * p->slope[k];
+  if (f->of_step != NULL)
+    for (int k = 0; k < p->n; k++) p->law[k] *= f->of_step[p->at + k];
+  for (int k = 0; k < p->n; k++) p->law[k] = f->at_rest[p->at + k] ? f->rest[p->at + k] : p->law[k];
+}
+
+// Each of these writes the variances of a row in a piece, and returns false if there is none, which needs no writing.
+
+static inline bool variance_of_compression(float *restrict variance, const struct frame *f, const struct piece *p) {
+  if (!(f->c->noise > 0)) return false;
+  for (int k = 0; k < p->n; k++) variance[k] = square_of(f->c->noise * f->gain[p->at + k]);
+  return true;
 }
 
 // Slopes that differ by more than `bend_from` from those around them are blurred.
-static inline void variance_of_walls(const struct budget *c, struct lines *restrict l) {
-  float square[PIECE];
-  for (int k = 0; k < PIECE; k++) square[k] = 0.5f * (l->bend[2 * k] + l->bend[2 * k + 1]);
-  memset(l->wall, 0, sizeof l->wall);
-  if (!any_from(square, square_of(c->bend_from), PIECE)) return;
-  for (int k = 0; k < PIECE; k++) l->wall[k] = square_of(c->per_bend * larger(sqrtf(square[k]) - c->bend_from, 0));
+static inline bool variance_of_wall(float *restrict variance, const struct frame *f, const struct piece *p) {
+  const float per_bend = f->c->per_bend, from = f->c->bend_from;
+  if (!(per_bend > 0)) return false;
+  float bend[2 * PIECE], square[PIECE];
+  find_bend(bend, f, p);
+  for (int k = 0; k < PIECE; k++) square[k] = 0.5f * (bend[2 * k] + bend[2 * k + 1]);
+  if (!any_from(square, square_of(from), PIECE)) return false;
+  for (int k = 0; k < PIECE; k++) variance[k] = square_of(per_bend * larger(sqrtf(square[k]) - from, 0));
+  return true;
 }
 
-// At rest by place; elsewhere by the step and the slope's size. What a color model's own deviation exceeds it by is an outlier's.
-static inline void variance_by_law(const struct budget *restrict c, struct lines *restrict l, const float *restrict slopes,
-                                   const bool *restrict at_rest, const float *restrict rest, const float *restrict of_step,
-                                   const float *restrict of_model, int n) {
-  for (int k = 0; k < n; k++) l->slope[k] = square_of(slopes[2 * k]) + square_of(slopes[2 * k + 1]);
-  for (int k = 0; k < n; k++) l->read[k] = c->per_step + c->per_size * l->slope[k];
-  if (of_step != NULL)
-    for (int k = 0; k < n; k++) l->read[k] *= of_step[k];
-  for (int k = 0; k < n; k++) l->read[k] = at_rest[k] ? rest[k] : l->read[k];
-  if (of_model != NULL)
-    for (int k = 0; k < n; k++) l->outlier[k] += larger(square_of(of_model[k]) - l->read[k], 0);
+// With what a color model's own deviation exceeds the law by. What clips, is hidden or is not lit is no color, so it has none.
+static inline bool variance_of_outlier(float *restrict variance, const struct frame *f, const struct piece *p) {
+  if (f->residual == NULL && f->of_model == NULL) return false;
+  const float nothing = square_of(f->c->unseen_sigma);
+  variance_of_outliers(variance, f->residual == NULL ? NULL : f->residual + p->at, f->c->outlier, f->c->unknown, p->n);
+  if (f->of_model != NULL)
+    for (int k = 0; k < p->n; k++) variance[k] += larger(square_of(f->of_model[p->at + k]) - p->law[k], 0);
+  for (int k = 0; k < p->n; k++) variance[k] = smaller(variance[k], nothing);
+  if (f->unseen != NULL)
+    for (int k = 0; k < p->n; k++) variance[k] = f->unseen[p->at + k] ? 0 : variance[k];
+  return true;
 }
 
-// Adds the rows that a frame brings. What clips, is hidden or is not lit is no color, so it has no outlier.
-static inline void add_rows(const struct budget *restrict c, struct lines *restrict l, const float *restrict gain,
-                            const float *restrict light, const bool *restrict unseen, int n) {
-  const float nothing = square_of(c->unseen);
-  for (int k = 0; k < n; k++) l->outlier[k] = smaller(l->outlier[k], nothing);
-  if (unseen != NULL)
-    for (int k = 0; k < n; k++) l->outlier[k] = unseen[k] ? 0 : l->outlier[k];
-  for (int k = 0; k < n; k++) l->read[k] += square_of(c->noise * gain[k]) + l->wall[k] + l->outlier[k];
-  if (light != NULL)
-    for (int k = 0; k < n; k++) l->read[k] += square_of(light[k]);
-  if (unseen != NULL)
-    for (int k = 0; k < n; k++) l->read[k] += unseen[k] ? nothing : 0;
+static inline bool variance_of_light(float *restrict variance, const struct frame *f, const struct piece *p) {
+  if (f->light == NULL) return false;
+  for (int k = 0; k < p->n; k++) variance[k] = square_of(f->light[p->at + k]);
+  return true;
+}
+
+static inline bool variance_of_unseen(float *restrict variance, const struct frame *f, const struct piece *p) {
+  if (f->unseen == NULL) return false;
+  const float nothing = square_of(f->c->unseen_sigma);
+  for (int k = 0; k < p->n; k++) variance[k] = f->unseen[p->at + k] ? nothing : 0;
+  return true;
+}
+
+static inline bool variance_of_unit(float *restrict variance, const struct frame *f, const struct piece *p) {
+  if (!(f->c->spread > 0)) return false;
+  const float spread = square_of(f->c->spread);
+  for (int k = 0; k < p->n; k++) variance[k] = spread * p->slope[k];
+  return true;
 }
 
 // Steep slopes may be read too small, which no residual shows: those beyond the slopes that presses have shown, and all where the
 // model is another unit's, but within a ball's disc only those that the ball does not show. An error of the slope's size is stated
 // of both components: a face may lean either way.
-static inline void finish(const struct budget *restrict c, const struct lines *restrict l, float *restrict read,
-                          float *restrict solved, float *restrict steep, float *restrict whole, float *restrict confidence, ptrdiff_t x,
-                          ptrdiff_t y, int n) {
-  const float full = square_of(c->full), most = square_of(c->unknown), per_fade = 1 / c->full;
-  const float spread = square_of(c->spread), factor = square_of(c->solved);
-  const float reach = square_of(c->ball_radius) - square_of((float)y - c->ball_y), left = (float)x - c->ball_x;
-  for (int k = 0; k < n; k++) {
-    const float size = sqrtf(l->slope[k]), beyond = larger(size - c->shown, 0) * c->per_excess;
-    const float doubted = square_of(left + (float)k) < reach ? c->of_ball : c->doubted;
-    const float other = c->carried * clamp((size - doubted) * per_fade + 1, 0, 1) * larger(c->steepest - size, 0);
-    const float seen = l->read[k] < most ? 1 : 0, missing = seen * smaller(square_of(beyond) + square_of(other), most);
-    const float of_unit = spread * l->slope[k];
-    read[k] = sqrtf(l->read[k]);
-    const float of_solved = smaller(factor * l->read[k], most) + of_unit;
-    solved[k] = sqrtf(of_solved);
-    steep[k] = sqrtf(missing);
-    whole[k] = sqrtf(of_solved + missing);
-    confidence[k] = smaller(full / (l->read[k] + of_unit + missing), 1);
+static inline bool variance_of_steep(float *restrict variance, const struct frame *f, const struct piece *p) {
+  const struct numbers c = *f->c;
+  const float most = square_of(c.unknown), per_fade = 1 / c.full;
+  const float reach = square_of(c.ball_radius) - square_of((float)p->y - c.ball_y), left = (float)p->x - c.ball_x;
+  for (int k = 0; k < p->n; k++) {
+    const float size = sqrtf(p->slope[k]), beyond = larger(size - c.shown, 0) * c.per_excess;
+    const float doubted = square_of(left + (float)k) < reach ? c.of_ball : c.doubted;
+    const float other = c.carried * clamp((size - doubted) * per_fade + 1, 0, 1) * larger(c.steepest - size, 0);
+    variance[k] = (p->read[k] < most ? 1 : 0) * smaller(square_of(beyond) + square_of(other), most);
   }
+  return true;
 }
 
 static inline void write_roots(float *restrict map, const float *restrict variance, int n) {
-  if (map != NULL)
-    for (int k = 0; k < n; k++) map[k] = sqrtf(variance[k]);
+  for (int k = 0; k < n; k++) map[k] = sqrtf(variance[k]);
 }
 
-#define AT(map) ((map) == NULL ? NULL : (map) + at)
+static inline void add(float *restrict sums, const float *restrict variance, int n) {
+  for (int k = 0; k < n; k++) sums[k] += variance[k];
+}
 
-// `read`: deviation of the slopes as read, without the rows of the unit and of steep slopes. `solved`: of the solved depth's
-// slopes, with that of the unit. `whole`: of these with that of steep slopes. `walls` and `outliers` get those rows where they are asked for.
+// Writes, up to n letters, the names of `NUMBERS`, then "law" and those of `ROWS`, each behind a space; returns how many they are.
+EXPORT int slope_budget_names(uint8_t *text, ptrdiff_t n) {
+#define NAME(name) " " #name
+#define ROW_NAME(name, raised) " " #name
+  static const char names[] = NUMBERS(NAME) " law" ROWS(ROW_NAME);
+  const ptrdiff_t all = (ptrdiff_t)sizeof names - 1;
+  memcpy(text, names, (size_t)(n < all ? n : all));
+  return (int)all;
+}
+
+// `read`: deviation of the slopes as read. `solved`: of the solved depth's slopes. `whole`: of these with all rows, `steep` of that
+// row alone. `rows`, where it is asked for, gets the law's deviation and that of each row (1 + rows, h, w).
 EXPORT int slope_budget(const float *gradients, const bool *at_rest, const float *rest, const float *of_step, const float *of_model,
                         const float *residual, const bool *unseen, const float *gain, const float *light, float *read,
-                        float *solved, float *steep, float *whole, float *confidence, float *walls, float *outliers, float per_step,
-                        float per_size, float solved_factor, float unknown, float outlier, float unseen_sigma,
-                        float full, float noise, float per_bend, float bend_from, float spread, float shown,
-                        float per_excess, float doubted, float steepest, float carried, float ball_x, float ball_y,
-                        float ball_radius, float of_ball, int32_t reach, ptrdiff_t h, ptrdiff_t w) {
-  const struct budget c = {per_step, per_size,  solved_factor, unknown, outlier,    unseen_sigma, full,    noise,
-                           per_bend, bend_from, spread,        shown,   per_excess, doubted, steepest,     carried,
-                           ball_x,   ball_y,    ball_radius,   of_ball, reach};
-  if (reach < 1 || !(outlier > 0) || !(full > 0)) return WRONG_SIZE;
-  struct lines l = {0};
+                        float *solved, float *steep, float *whole, float *confidence, float *rows, const float *numbers,
+                        ptrdiff_t h, ptrdiff_t w, ptrdiff_t parts, ptrdiff_t count) {
+  enum raised { READ, SOLVED, WHOLE };
+#define OF_ROW(name, raised) {variance_of_##name, raised},
+  static const struct {
+    bool (*variance)(float *restrict, const struct frame *, const struct piece *);
+    enum raised raised;
+  } row[] = {ROWS(OF_ROW)};
+  enum { COUNT = sizeof row / sizeof *row };
+  struct numbers c;
+  if (count != NUMBER_COUNT || (rows != NULL && parts != 1 + COUNT)) return WRONG_SIZE;
+  memcpy(&c, numbers, sizeof c);
+  if (!(c.reach >= 1 && c.reach < (float)PTRDIFF_MAX / 4) || !(c.outlier > 0) || !(c.full > 0)) return WRONG_SIZE;
+  const struct frame f = {&c, gradients, rest, of_step, of_model, residual, gain, light, at_rest, unseen, h, w};
+  const float full = square_of(c.full), most = square_of(c.unknown), factor = square_of(c.solved_factor);
   for (ptrdiff_t y = 0; y < h; y++)
     for (ptrdiff_t x = 0; x < w; x += PIECE) {
-      const ptrdiff_t at = y * w + x;
-      const int n = w - x < PIECE ? (int)(w - x) : PIECE;
-      if (per_bend > 0) {
-        find_bend(&c, &l, gradients, x, y, w, h, n);
-        variance_of_walls(&c, &l);
+      struct piece p = {.x = x, .y = y, .at = y * w + x, .n = w - x < PIECE ? (int)(w - x) : PIECE};
+      float variance[PIECE], of_solved[PIECE] = {0}, of_whole[PIECE] = {0};
+      variance_by_law(&p, &f);
+      memcpy(p.read, p.law, sizeof p.law);
+      if (rows != NULL) write_roots(rows + p.at, p.law, p.n);
+      for (int i = 0; i < COUNT; i++) {
+        const bool there = row[i].variance(variance, &f, &p);
+        if (rows != NULL && !there) memset(variance, 0, sizeof variance);
+        if (rows != NULL) write_roots(rows + (1 + i) * h * w + p.at, variance, p.n);
+        if (there) add(row[i].raised == READ ? p.read : row[i].raised == SOLVED ? of_solved : of_whole, variance, p.n);
       }
-      variance_of_outliers(l.outlier, AT(residual), outlier, unknown, n);
-      variance_by_law(&c, &l, gradients + 2 * at, at_rest + at, rest + at, AT(of_step), AT(of_model), n);
-      add_rows(&c, &l, gain + at, AT(light), AT(unseen), n);
-      write_roots(AT(walls), l.wall, n);
-      write_roots(AT(outliers), l.outlier, n);
-      finish(&c, &l, read + at, solved + at, steep + at, whole + at, confidence + at, x, y, n);
+      for (int k = 0; k < p.n; k++) {
+        const float all = smaller(factor * p.read[k], most) + of_solved[k];
+        read[p.at + k] = sqrtf(p.read[k]);
+        solved[p.at + k] = sqrtf(all);
+        steep[p.at + k] = sqrtf(of_whole[k]);
+        whole[p.at + k] = sqrtf(all + of_whole[k]);
+        confidence[p.at + k] = smaller(full / (p.read[k] + of_solved[k] + of_whole[k]), 1);
+      }
     }
   return OK;
 }

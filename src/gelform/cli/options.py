@@ -36,6 +36,7 @@ def names_in(file: str, table: str) -> tuple[str, ...]:
 COLOR_MODELS = names_in("slopes/color_models/__init__.py", "COLOR_MODELS")
 PACKAGES = names_in("exchange/importers.py", "PACKAGES")
 LAYOUTS = names_in("simulate/presets.py", "LAYOUTS")
+CAUSES = names_in("slopes/budget.py", "CAUSES")
 FORMS = names_in("exchange/exporters/press_folder.py", "FORMS")
 STARTERS = tuple(sorted(path.stem for path in (PACKAGE / "calibration" / "starters").glob("*.npz")))
 

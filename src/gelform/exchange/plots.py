@@ -21,8 +21,7 @@ from gelform.result import Reconstruction
 from gelform.result.maps import MAPS
 from gelform.result.measure import Measured
 from gelform.result.metrics import angle_deg
-from gelform.slopes.budget import Explanation
-from gelform.slopes.sigma import CAUSES
+from gelform.slopes.budget import CAUSES, Explanation
 
 DPI, WIDTH = 110, 13.0  # pixels per inch, and inches of most pictures
 INK, FAINT, GRID = "#222222", "#8a8a8a", "#e6e6e6"
@@ -296,9 +295,8 @@ def measured_picture(result: Reconstruction, measured: Measured) -> Image:
     return pixels_of(figure)
 
 
-USUAL = "usual noise"  # what no cause explains
+USUAL, USUAL_COLOR = "usual noise", "#e8e8e8"  # what no cause explains
 LEAST_SHARE = 5e-4  # fraction of the frame that a cause affects; a smaller one gets no panel
-COLORS = ("#e8e8e8", *(cause.color for cause in CAUSES.values()))  # of the usual noise and of each cause
 
 
 def explanation_picture(explanation: Explanation, image: ArrayLike) -> Image:
@@ -357,10 +355,11 @@ def _draw_summary(figure: Any, grid: Any, explanation: Explanation, image: Image
     figure.colorbar(sigma, ax=grid[2], shrink=0.7, pad=0.02)
     axes = grid[3]
     names = (USUAL, *explanation.maps)
-    style = {"cmap": ListedColormap(COLORS), "vmin": -0.5, "vmax": len(COLORS) - 0.5}
+    colors = (USUAL_COLOR, *(CAUSES[name].color for name in explanation.maps))
+    style = {"cmap": ListedColormap(colors), "vmin": -0.5, "vmax": len(colors) - 0.5}
     draw_map(axes, explanation.dominant, "largest cause", **style)
     there = [k for k in np.unique(explanation.dominant) if (explanation.dominant == k).mean() >= LEAST_SHARE]
-    patches = [Patch(facecolor=COLORS[k], edgecolor=INK, linewidth=0.5, label=names[k]) for k in there]
+    patches = [Patch(facecolor=colors[k], edgecolor=INK, linewidth=0.5, label=names[k]) for k in there]
     axes.legend(handles=patches, fontsize=8, loc="lower left", framealpha=0.9)
 
 

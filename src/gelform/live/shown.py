@@ -29,8 +29,7 @@ from gelform.foundations.files import picture_bytes
 from gelform.result.maps import MAP_PLANES
 from gelform.result.record import ResultNumbers
 from gelform.sensors.playback import ReplayedFrame
-from gelform.slopes.budget import Explanation
-from gelform.slopes.sigma import CAUSES
+from gelform.slopes.budget import CAUSES, Explanation
 
 ENCODINGS = ("raw", "small")
 MAGIC = b"GFL1"

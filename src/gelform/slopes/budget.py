@@ -13,9 +13,9 @@ gentle part around the top tells the ball, and how far the readings follow it te
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import cv2
@@ -23,14 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelform._native import Kernel
-from gelform.arrays import Array, Floats, Image, Map, Mask, Numbers, Slopes
+from gelform.arrays import Array, Image, Map, Mask, Numbers, Slopes
 from gelform.errors import Finding
 from gelform.foundations.checks import HIGHEST_SLOPE, check_slopes
 from gelform.image.background import PreparedBackground, Reference
 from gelform.image.health import BELOW, BLOCK_PX, LIT
 from gelform.slopes.color_models.seam import PreparedColorModel
 from gelform.slopes.gradients import STEEPEST_GEL
-from gelform.slopes.sigma import CAUSES, SATURATED_FROM, SlopeSigma, bloom_disc
+from gelform.slopes.sigma import SATURATED_FROM, SlopeSigma, bloom_disc
 
 USUAL_LEVELS = 2.0  # gray levels, a pixel's noise if the calibration does not know that of its images
 # Squared residual over its covariance on held-out presses from which no slope is left: three sigma.
@@ -60,11 +60,19 @@ _slope_budget = Kernel(
     "slope_budget",
     "f32[h,w,2] gradients, bool[h,w] at_rest, f32[h,w] rest, f32[h,w]? of_step, f32[h,w]? of_model, f32[h,w]? residual, "
     "bool[h,w]? unseen, f32[h,w] gain, f32[h,w]? light, out f32[h,w] read, out f32[h,w] solved, out f32[h,w] steep, "
-    "out f32[h,w] whole, out f32[h,w] confidence, out f32[h,w]? walls, out f32[h,w]? outliers, f32 per_step, "
-    "f32 per_size, f32 solved_factor, f32 unknown, f32 outlier, f32 unseen_sigma, f32 full, f32 noise, f32 per_bend, "
-    "f32 bend_from, f32 spread, f32 shown, f32 per_excess, f32 doubted, f32 steepest, f32 carried, "
-    "f32 ball_x, f32 ball_y, f32 ball_radius, f32 of_ball, i32 reach",
+    "out f32[h,w] whole, out f32[h,w] confidence, out f32[parts,h,w]? rows, f32[count] numbers",
 )
+_slope_budget_names = Kernel("slope_budget_names", "out u8[n] text")
+
+
+@cache
+def names_in_budget() -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The names of the kernel's numbers and of its rows, in its order; the first row is the law."""
+    text = np.zeros(_slope_budget_names(np.zeros(0, dtype=np.uint8)), dtype=np.uint8)
+    _slope_budget_names(text)
+    names = bytes(text).decode().split()
+    law = names.index("law")
+    return tuple(names[:law]), tuple(names[law:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +107,8 @@ class Budget:
     steep: Map  # what steep slopes may be read too small
     whole: Map  # of the solved depth's slopes, all rows included
     confidence: Map  # min(1, full_confidence_sigma^2 / (all rows of the slopes as read))
-    walls: Map | None = None  # this row, if it was asked for
-    outliers: Map | None = None
+    # What the law and each row add, in squares, to `whole` and to what confidence follows from; none if not asked for.
+    rows: Mapping[str, Map] = field(default_factory=dict)
 
     @property
     def gradients_sigma(self) -> Map:
@@ -144,36 +152,30 @@ class PreparedBudget:
         light: Map | None = None,  # (H, W), deviation of slopes from what is unsure of the frame's light
         *,
         depth: Map | None = None,  # (H, W), solved
-        rows: bool = False,  # whether to keep the rows of walls and outliers
+        rows: bool = False,  # whether to keep each row
     ) -> Budget:
         """The budget of a frame.
 
         Within a ball around the depth's deepest pixel, the slopes that the ball shows are not doubted for being read by
         another unit's model.
         """
-        numbers = self._numbers
+        numbers = self._numbers | {"outlier": slopes.outlier, "noise": noise_levels}
         if numbers["carried"] and depth is not None:
             row, column = divmod(int(np.argmax(depth)), depth.shape[1])
             ball = slopes_of_ball(slopes.gradients, (row, column), numbers["doubted"])
-            numbers = numbers if ball is None else numbers | ball._asdict()
-        read, solved, steep, whole, confidence = (
-            np.empty(slopes.at_rest.shape, np.float32) for _ in range(5)
-        )
-        walls, outliers = (np.zeros_like(read), np.zeros_like(read)) if rows else (None, None)
+            numbers |= {} if ball is None else ball._asdict()
+        of_numbers, of_rows = names_in_budget()
+        shape = slopes.at_rest.shape
+        read, solved, steep, whole, confidence = (np.empty(shape, np.float32) for _ in range(5))
+        parts = np.empty((len(of_rows), *shape), np.float32) if rows else None
         _slope_budget(
             slopes.gradients, slopes.at_rest, self.rest_variance, slopes.variance, slopes.model_sigma, slopes.residual,
-            slopes.unseen, self._gain, light, read, solved, steep, whole, confidence, walls, outliers,
-            outlier=slopes.outlier, noise=noise_levels, **numbers,
+            slopes.unseen, self._gain, light, read, solved, steep, whole, confidence, parts,
+            np.array([numbers[name] for name in of_numbers], dtype=np.float32),
         )  # fmt: skip
-        return Budget(read, solved, steep, whole, confidence, walls, outliers)
-
-    def frame_rows(self, slopes: ReadSlopes, noise_levels: float, light: Map | None) -> dict[str, Floats]:
-        """The rows (H, W) that follow from a frame's light, its noise and the spread between units, mm/mm."""
-        return {
-            "light": np.zeros(slopes.at_rest.shape, dtype=np.float32) if light is None else light,
-            "compression": np.float32(noise_levels) * self._gain,
-            "unit": np.float32(self._numbers["spread"]) * np.linalg.norm(slopes.gradients, axis=-1),
-        }
+        return Budget(
+            read, solved, steep, whole, confidence, {} if parts is None else dict(zip(of_rows, parts))
+        )
 
 
 def without_bias(
@@ -294,6 +296,111 @@ def _mean(values: Map, ring: NDArray[np.intp]) -> Numbers:
 
 
 @dataclass(frozen=True, eq=False)
+class ExplainedFrame:
+    """A frame's budget with its rows, and what its image showed where slopes are uncertain, in maps (H, W) or None."""
+
+    budget: Budget
+    full_confidence_sigma: float
+    pixels: Image  # (H, W, 3) uint8, the raw image
+    color_change: Map  # (H, W, 3)
+    clipped: NDArray[np.uint8] | None  # (H, W, 3) uint8, the unusable channels
+    markers: Mask | None  # hidden by markers
+    lost: Mask | None  # lost by the camera
+    outside: Mask | None  # without light at rest
+    blur_px: float  # of the color change
+
+    def hidden(self, where: Mask | bool | None) -> Map:
+        """The deviation of slopes that nothing shows, at those pixels."""
+        nothing = np.zeros_like(self.budget.read)
+        return (
+            nothing
+            if where is None
+            else np.where(where, np.float32(unseen_sigma(self.full_confidence_sigma)), nothing)
+        )
+
+    def outliers(self, where: Callable[[Map], Mask]) -> Map:
+        """That of colors that no slope gives, by what the channels of their color change have in common, -1 to 1."""
+        size = np.sqrt(np.mean(np.square(self.color_change), axis=-1))
+        common = self.color_change.mean(axis=-1) / np.maximum(size, 1e-12)
+        outliers = self.budget.rows["outlier"]
+        return np.where(where(common), outliers, np.zeros_like(outliers))
+
+    def lost_parts(self, *, bright: bool = False, dark: bool = False) -> Mask | bool | None:
+        """The lost pixels that were bright, dark, or neither."""
+        if self.lost is None:
+            return None
+        level = cv2.blur(self.pixels, (BLOCK_PX, BLOCK_PX))
+        above = level.max(axis=-1) >= BELOW
+        below = ~above & (level.min(axis=-1) <= LIT)
+        return self.lost & (above if bright else below if dark else ~above & ~below)
+
+    def at_end(self, *, upper: bool) -> Map:
+        """What clipped channels and lost parts at one end of the camera cost."""
+        found = self.hidden(self.lost_parts(bright=upper, dark=not upper))
+        if self.clipped is None:
+            return found
+        rows = self.budget.rows
+        cost = np.where(
+            self.clipped.sum(axis=-1) > 1, self.hidden(True), np.hypot(rows["law"], rows["unseen"])
+        )
+        ends = (self.pixels >= SATURATED_FROM).any(axis=-1).view(np.uint8)
+        bright = cv2.dilate(ends, bloom_disc(self.blur_px)) > 0
+        return np.where(self.clipped.any(axis=-1) & (bright == upper), cost, found)
+
+
+class Cause(NamedTuple):
+    """One cause of low confidence: its text and color in the command line, the plots and the live page."""
+
+    sentence: str  # sentence about the pixels that it is named for; "" if it is never named
+    named_from: float  # mm/mm, smallest standard deviation that it has to add to a slope to be named
+    color: str  # in pictures, "#rrggbb"
+    of: Callable[[ExplainedFrame], Map] | None = (
+        None  # the deviation that it adds; None: the budget's row of its name
+    )
+
+
+BLIND = 0.35  # mm/mm, standard deviation that leaves no information; about the slope of a ball's rim
+SIX_SIGMA = 7.0  # mm/mm, standard deviation that a residual of 6 sigma adds; rims of real presses reach 5
+# The colors are those of Okabe and Ito, distinct for every kind of color blindness; the last is not theirs.
+CAUSES: dict[str, Cause] = {
+    "saturated": Cause(
+        "at the camera's upper end. Lower exposure, gain or the lights.", BLIND, "#e69f00",
+        lambda frame: frame.at_end(upper=True),
+    ),
+    "dark": Cause(
+        "at the camera's lower end. Is a light off, or the exposure too short?", BLIND, "#0072b2",
+        lambda frame: frame.at_end(upper=False),
+    ),
+    "shadow": Cause(
+        "darker than the slopes of the presses: a cast shadow, or a face steeper than they have shown.", SIX_SIGMA,
+        "#56b4e9", lambda frame: frame.outliers(lambda common: common < -0.5),
+    ),
+    "specular": Cause(
+        "brighter than the slopes of the presses: a mirrored light, or a face steeper than they have shown.", SIX_SIGMA,
+        "#f0e442", lambda frame: frame.outliers(lambda common: common > 0.5),
+    ),
+    "off_gamut": Cause(
+        "of colors that no slope gives: dust, a scratch, another gel, or slopes outside the training zone.", SIX_SIGMA,
+        "#cc79a7", lambda frame: frame.outliers(lambda common: abs(common) <= 0.5),
+    ),
+    # Of a slope 0.23 beyond those that presses have shown.
+    "steep": Cause("steeper than the presses have shown: at least about this slope.", 0.4, "#882255"),
+    "inconsistent": Cause(
+        "torn or from another moment: data of the frame were lost.", BLIND, "#d55e00",
+        lambda frame: frame.hidden(frame.lost_parts()),
+    ),
+    "marker": Cause("hidden by markers.", BLIND, "#999999", lambda frame: frame.hidden(frame.markers)),
+    "outside": Cause("not lit, or not gel.", BLIND, "#009e73", lambda frame: frame.hidden(frame.outside)),
+    "wall": Cause("", BLIND, "#000000"),  # an object's edge is no fault
+    "light": Cause("", BLIND, "#ffd8a8"),  # findings of the light name it
+    "unit": Cause("", BLIND, "#7f7f00"),  # the finding of a starter names it
+    "compression": Cause(
+        "noisier than the calibrated images. Raise the JPEG quality, or lower the camera's gain.", 0.0, "#b08968"
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
 class Explanation:
     """The reasons for each pixel's confidence, in maps (H, W) of mm/mm."""
 
@@ -338,52 +445,16 @@ class Explanation:
         }
 
 
-class ExplainedImage(NamedTuple):
-    """What an image showed where slopes are uncertain, in maps (H, W); None: nowhere."""
-
-    pixels: Image  # (H, W, 3) uint8, the raw image
-    color_change: Map  # (H, W, 3)
-    clipped: NDArray[np.uint8] | None  # (H, W, 3) uint8, the unusable channels
-    markers: Mask | None  # hidden by markers
-    lost: Mask | None  # lost by the camera
-    outside: Mask | None  # without light at rest
-    blur_px: float  # of the color change
-
-
-def explanation_of(
-    budget: Budget, rows: Mapping[str, Floats], shown: ExplainedImage, full_confidence_sigma: float
-) -> Explanation:
-    """The rows of a frame's budget under the names of `CAUSES`; `rows` are those of `PreparedBudget.frame_rows`.
+def explanation_of(frame: ExplainedFrame) -> Explanation:
+    """What each of `CAUSES` adds to the deviations of a frame's slopes.
 
     Pixels that show nothing are named for what hides them, and outliers for what their color looks like.
     """
-    assert budget.walls is not None
-    assert budget.outliers is not None
-    nothing, unseen = np.zeros_like(budget.read), np.float32(unseen_sigma(full_confidence_sigma))
-    found = dict.fromkeys(CAUSES, nothing) | dict(rows) | {"wall": budget.walls, "steep": budget.steep}
-    size = np.sqrt(np.mean(np.square(shown.color_change), axis=-1))
-    common = shown.color_change.mean(axis=-1) / np.maximum(size, 1e-12)
-    darker, brighter = common < -0.5, common > 0.5  # all channels: a shadow, or a mirror
-    for name, where in (("shadow", darker), ("specular", brighter), ("off_gamut", ~darker & ~brighter)):
-        found[name] = np.where(where, budget.outliers, nothing)
-    total = np.square(budget.read) + np.square(budget.steep) + np.square(found["unit"])
+    rows = frame.budget.rows
+    found = {name: rows[name] if one.of is None else one.of(frame) for name, one in CAUSES.items()}
+    total = sum(np.square(one) for one in rows.values())
     law = np.sqrt(np.maximum(total - sum(np.square(one) for one in found.values()), 0))
-    hidden = [("marker", shown.markers), ("outside", shown.outside)]
-    if shown.lost is not None:
-        level = cv2.blur(shown.pixels, (BLOCK_PX, BLOCK_PX))
-        bright = shown.lost & (level.max(axis=-1) >= BELOW)
-        dark = shown.lost & ~bright & (level.min(axis=-1) <= LIT)
-        hidden += [("saturated", bright), ("dark", dark), ("inconsistent", shown.lost & ~bright & ~dark)]
-    for name, where in hidden:
-        found[name] = found[name] if where is None else np.where(where, unseen, found[name])
-    if shown.clipped is not None:
-        cost = np.where(shown.clipped.sum(axis=-1) > 1, unseen, law) * shown.clipped.any(axis=-1)
-        ends = (shown.pixels >= SATURATED_FROM).any(axis=-1).view(np.uint8)
-        bright = cv2.dilate(ends, bloom_disc(shown.blur_px)) > 0
-        for name, where in (("saturated", bright), ("dark", ~bright)):
-            found[name] = np.where(where & (cost > 0), cost, found[name])
-    law = np.sqrt(np.maximum(total - sum(np.square(one) for one in found.values()), 0))
-    return Explanation(found, law, np.sqrt(total), budget.confidence, full_confidence_sigma)
+    return Explanation(found, law, np.sqrt(total), frame.budget.confidence, frame.full_confidence_sigma)
 
 
 def _named_fraction(mask: Mask) -> float:

@@ -1,4 +1,4 @@
-"""The standard deviation of slopes as a calibration states it, and the causes that raise it in a frame."""
+"""The standard deviation of slopes as a calibration states it, and what of a frame shows no slope."""
 
 from __future__ import annotations
 
@@ -137,51 +137,6 @@ def _law(errors: Array, variable: Array) -> tuple[float, float]:
     design = np.stack([1 / squares, means / unit / squares], axis=1)
     parts, _ = scipy.optimize.nnls(design, np.ones(len(squares)))
     return float(parts[0]), float(parts[1] / unit)
-
-
-class Cause(NamedTuple):
-    """One cause of low confidence: its text and color in the command line, the plots and the live page."""
-
-    sentence: str  # sentence about the pixels that it is named for; "" if it is never named
-    named_from: float  # mm/mm, smallest standard deviation that it has to add to a slope to be named
-    color: str  # in pictures, "#rrggbb"
-
-
-BLIND = 0.35  # mm/mm, standard deviation that leaves no information; about the slope of a ball's rim
-SIX_SIGMA = 7.0  # mm/mm, standard deviation that a residual of 6 sigma adds; rims of real presses reach 5
-# The colors are those of Okabe and Ito, distinct for every kind of color blindness; the last is not theirs.
-CAUSES = {
-    "saturated": Cause("at the camera's upper end. Lower exposure, gain or the lights.", BLIND, "#e69f00"),
-    "dark": Cause("at the camera's lower end. Is a light off, or the exposure too short?", BLIND, "#0072b2"),
-    "shadow": Cause(
-        "darker than the slopes of the presses: a cast shadow, or a face steeper than they have shown.",
-        SIX_SIGMA,
-        "#56b4e9",
-    ),
-    "specular": Cause(
-        "brighter than the slopes of the presses: a mirrored light, or a face steeper than they have shown.",
-        SIX_SIGMA,
-        "#f0e442",
-    ),
-    "off_gamut": Cause(
-        "of colors that no slope gives: dust, a scratch, another gel, or slopes outside the training zone.",
-        SIX_SIGMA,
-        "#cc79a7",
-    ),
-    # Of a slope 0.23 beyond those that presses have shown.
-    "steep": Cause("steeper than the presses have shown: at least about this slope.", 0.4, "#882255"),
-    "inconsistent": Cause("torn or from another moment: data of the frame were lost.", BLIND, "#d55e00"),
-    "marker": Cause("hidden by markers.", BLIND, "#999999"),
-    "outside": Cause("not lit, or not gel.", BLIND, "#009e73"),
-    "wall": Cause("", BLIND, "#000000"),  # an object's edge is no fault
-    "light": Cause("", BLIND, "#ffd8a8"),  # findings of the light name it
-    "unit": Cause("", BLIND, "#7f7f00"),  # the finding of a starter names it
-    "compression": Cause(
-        "noisier than the calibrated images. Raise the JPEG quality, or lower the camera's gain.",
-        0.0,
-        "#b08968",
-    ),
-}
 
 
 def outside_of_gel(background: Array) -> Mask | None:

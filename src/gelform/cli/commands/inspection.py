@@ -284,8 +284,7 @@ def explain(
 ) -> None:
     """Explain the confidence of each pixel of an image.
 
-    Lists the share of the slopes' variance from the usual noise of each slope, and from each cause: saturated,
-    dark, shadow, specular, wall, off_gamut, steep, inconsistent, marker, outside, light, unit, compression. With -o,
+    Lists the share of the slopes' variance from the usual noise of each slope, and from each cause: CAUSES. With -o,
     DIR/<image>.png shows the confidence, and the share of each cause, pixel by pixel.
 
     \b
@@ -327,6 +326,9 @@ def explain(
     shown.table("Share of the slopes' variance", ("image", *columns), table)
     _say_pictures(rows, output, shown)
     shown.json({"calibration": given.calibration and str(given.calibration), "images": rows})
+
+
+explain.__doc__ = (explain.__doc__ or "").replace("CAUSES", ", ".join(options.CAUSES))
 
 
 def _rows_of_images(
