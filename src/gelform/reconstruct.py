@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from os import PathLike
 from threading import RLock
@@ -20,6 +20,7 @@ from gelform.depth.integrate import FrameDepth, Integration
 from gelform.depth.sigma import DepthErrors, DepthSigma, Purpose, contradicted_slopes, steep_finding
 from gelform.errors import Finding
 from gelform.foundations.checks import check_image
+<<<<<<< HEAD
 from gelform.foundations.pool import Pool, keep_freed_memory
 from gelform.image.agreement import (
     background_digest,
@@ -27,12 +28,16 @@ from gelform.image.agreement import (
     check_viewed_image,
     touched_finding,
 )
+=======
+from gelform.foundations.pool import Pool, keep_freed_memory, once
+from gelform.image.agreement import background_digest, check_own_background, check_viewed_image
+>>>>>>> frame
 from gelform.image.background import PreparedBackground, reference_from_color_change
 from gelform.image.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 from gelform.image.light import FrameLight
 from gelform.image.markers import MarkerFlow, MarkerFollower
 from gelform.image.view import Frame, as_levels, image_from_frame, whole_levels
-from gelform.result import Later, Reconstruction, ShapeErrors
+from gelform.result import Reconstruction, ShapeErrors
 from gelform.slopes.budget import (
     OUTLIER,
     Budget,
@@ -48,11 +53,6 @@ from gelform.slopes.budget import (
 from gelform.slopes.color_models.forward_response import PreparedStep
 from gelform.slopes.gradients import slopes_of_solution
 from gelform.slopes.sigma import Clipped, ClippedChannels, SlopeSigma, either, excess_noise, outside_of_gel
-
-ON_DEMAND = (  # what a result computes on first use
-    "gradients", "gradients_sigma", "confidence", "depth_sigma_mm", "contact", "health", "outside_change", "inside_change",
-    "curl_rms",
-)  # fmt: skip
 
 
 class FromCalibration:
@@ -144,20 +144,6 @@ class SeenImage(NamedTuple):
     clipped: Clipped
     light: FrameLight
     findings: tuple[Finding, ...]
-
-
-class once:
-    """A property that is computed on first use. Before Python 3.12, `functools.cached_property` locks all objects."""
-
-    def __init__(self, make: Callable[[Any], Any]) -> None:
-        self._make, self.__doc__ = make, make.__doc__
-
-    def __get__(self, owner: Any, kind: type | None = None) -> Any:
-        """The value, which hides this descriptor from then on."""
-        if owner is None:
-            return self
-        value = vars(owner)[self._make.__name__] = self._make(owner)
-        return value
 
 
 @dataclass(frozen=True, eq=False)
@@ -484,10 +470,11 @@ class Reconstructor:
     def result(self, record: FrameRecord) -> Reconstruction:
         """The result of a record: its depth, and the rest on first use; the record goes with the last of it."""
         lock, calibration, slopes = RLock(), self.calibration, record.slopes
-        later: dict[str, Any] = {name: Later(partial(getattr, record, name), lock) for name in ON_DEMAND}
-        if record.fixed.depth_sigma is not None:  # both follow from the same errors
-            later["shape_errors"] = shape_errors = Later(partial(getattr, record, "shape_errors"), lock)
-            later["depth_sigma_mm"] = Later(lambda: shape_errors() and record.depth_sigma_mm, lock)
+        names = (one.name for one in fields(Reconstruction) if hasattr(FrameRecord, one.name))
+        later: dict[str, Any] = {name: once(partial(getattr, record, name), lock) for name in names}
+        # Both follow from the same errors, or are None.
+        shape_errors = later["shape_errors"]
+        later["depth_sigma_mm"] = once(lambda: shape_errors() and record.depth_sigma_mm, lock)
         own = record.depth_mm.copy()  # the caller's to write to; the record's stays
         slopes.gradients.flags.writeable = False
         return Reconstruction(
@@ -500,7 +487,7 @@ class Reconstructor:
             markers=record.seen.flow,
             calibration_digest=calibration.digest,
             force_model=calibration.force,
-            albedo_source=record.albedo and Later(record.albedo).__call__,
+            albedo_source=record.albedo and once(record.albedo).__call__,
             **later,
         )
 

@@ -19,8 +19,10 @@ import pytest
 
 from gelform.errors import ConvergenceError, DataError, Finding, GelformError
 from gelform.foundations.files import read_npz, write_npz
+from gelform.foundations.pool import once
 from gelform.image.markers import MarkerFlow
-from gelform.result import KIND, Later, Reconstruction, load_result, save_result
+from gelform.reconstruct import FrameRecord
+from gelform.result import KIND, Reconstruction, load_result, save_result
 from gelform.result.maps import BESIDE_DEPTH, KEPT_MAPS, MAPS
 from gelform.result.record import FORMAT_VERSION
 from gelform.result.shape import ShapeErrors
@@ -211,7 +213,7 @@ def asked(result):
         made.append(name)
         return getattr(result, name)
 
-    later = {name: Later(lambda name=name: make(name)) for name in ("confidence", "curl_rms")}
+    later = {name: once(lambda name=name: make(name)) for name in ("confidence", "curl_rms")}
     return result.changed(**later), made
 
 
@@ -231,7 +233,7 @@ def test_a_value_is_computed_on_first_use_and_shared_by_copies(result, asked):
 def test_a_value_that_is_replaced_is_never_computed(result, asked):
     fresh, made = asked
     assert fresh.changed(confidence=result.confidence / 2).confidence.max() < 0.5
-    assert fresh.changed(curl_rms=Later(lambda: 3.0)).curl_rms == 3.0
+    assert fresh.changed(curl_rms=once(lambda: 3.0)).curl_rms == 3.0
     assert not made
     with pytest.raises(ValueError, match="confidence of shape"):
         fresh.changed(confidence=result.confidence[1:])
@@ -246,7 +248,7 @@ def test_threads_that_ask_at_once_get_one_value():
         made.append(1)
         return np.zeros(3)
 
-    later = Later(make)
+    later = once(make)
     with ThreadPoolExecutor(4) as pool:
         values = [pool.submit(later) for _ in range(4)]
         assert entered.wait(30)
@@ -260,8 +262,8 @@ def test_threads_that_ask_at_once_get_one_value():
 def test_values_of_one_lock_may_need_each_other(result):
     """As the contact needs the sigma of depth, in a thread that holds the lock of both."""
     lock = threading.RLock()
-    first = Later(lambda: 2.0, lock)
-    assert result.changed(curl_rms=Later(lambda: first() + 1, lock)).curl_rms == 3.0
+    first = once(lambda: 2.0, lock)
+    assert result.changed(curl_rms=once(lambda: first() + 1, lock)).curl_rms == 3.0
 
 
 @pytest.mark.parametrize("of", [lambda one: pickle.loads(pickle.dumps(one)), copy.copy, copy.deepcopy])
@@ -279,7 +281,7 @@ def test_a_value_that_cannot_be_computed_says_so_each_time(result):
     def fail():
         raise ConvergenceError("no")
 
-    bad = result.changed(confidence=Later(fail))
+    bad = result.changed(confidence=once(fail))
     for _ in range(2):
         with pytest.raises(ConvergenceError, match="no"):
             bad.confidence  # noqa: B018 - computed when asked for
@@ -400,9 +402,12 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_the_table_has_every_map_of_a_result_and_its_file(result, tmp_path):
+    """A row of the table is the field, and a Reconstructor's result has what its record makes of that name."""
     maps = {"Map", "Slopes", "Mask"}
-    held = {entry.name for entry in fields(Reconstruction) if entry.type.split()[0] in maps}
-    assert held == {"depth", *(row.name for row in BESIDE_DEPTH)}
+    held = [entry.name for entry in fields(Reconstruction) if entry.type.split()[0] in maps]
+    assert held == ["depth", *(row.name for row in BESIDE_DEPTH)]
+    given = {"depth", "known", "observed_gradients"}  # with the depth
+    assert set(held) - given == {name for name in held if hasattr(FrameRecord, name)}
     for row in MAPS.values():
         values = getattr(result, row.name)
         if values is not None:

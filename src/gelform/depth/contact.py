@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import cv2
@@ -25,6 +24,7 @@ from gelform.foundations.checks import (
     value_range,
 )
 from gelform.foundations.filters import LANES, MEDIAN_SAMPLES, SIGMA_OF_MEDIAN, bessel_k, blur_taps
+from gelform.foundations.pool import once
 from gelform.image.background import CHANGE_OFFSET
 from gelform.image.view import PIXEL_VARIANCE
 
@@ -366,7 +366,7 @@ class Evidence:
         deepest_yx = np.column_stack([y, x]).astype(np.int32)
         return np.append(False, stands), np.vstack([np.zeros((1, 2), np.int32), deepest_yx])
 
-    @cached_property
+    @once
     def _influence(self) -> Floats:
         """Depth, mm, that a pressure of 1/mm on a pixel makes, by squared distance in pixels of mean size."""
         area = self.pitch[0] * self.pitch[1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any, Literal, get_args
 
 import cv2
@@ -27,6 +27,7 @@ from gelform.foundations.checks import (
     check_slopes,
 )
 from gelform.foundations.filters import MEDIAN_SAMPLES, fill_unknown, lattice_step, medians_where
+from gelform.foundations.pool import once
 from gelform.slopes.budget import ReadSlopes
 from gelform.slopes.gradients import curl_rms
 
@@ -60,19 +61,19 @@ class Integration:
     gradients: Slopes = field(repr=False)
     mm_per_px: tuple[float, float]
 
-    @cached_property
+    @once
     def residual(self) -> float:
         """RMS over the edges of recovered minus given slope, mm/mm: the part that no surface can satisfy."""
         depth, gradients, known = self._stacked()
         return residual_rms(depth, gradients, known, *self.mm_per_px)
 
-    @cached_property
+    @once
     def curl_rms(self) -> float:
         """RMS of `dp/dy - dq/dx`, in slope per pixel."""
         _, gradients, known = self._stacked()
         return curl_rms(gradients, None if known.all() else known)
 
-    @cached_property
+    @once
     def islands(self) -> int:
         """Number of regions that no known slope connects; for a stack, the most in a frame."""
         return max(int(_islands(known).max()) for known in self._stacked()[2])
@@ -189,7 +190,7 @@ class IntegrationProblem:
     level: Level | None = None
     solver: str = "auto"
 
-    @cached_property
+    @once
     def region(self) -> Mask:
         """The pixels (H, W) that define where depth is 0, of all frames of a stack."""
         return zero_region(self.zero, self.gradients.shape[-3:-1])  # type: ignore[arg-type]

@@ -9,7 +9,6 @@ of the length L. Depth cannot be negative, so what negative depths have beyond t
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Literal
 
 import cv2
@@ -21,6 +20,7 @@ from gelform.depth.coarse import Coarse, coarse_of
 from gelform.depth.solvers.dct import CosineFilter
 from gelform.errors import ConvergenceError, Finding
 from gelform.foundations.filters import SIGMA_OF_MEDIAN, bessel_k, medians_where
+from gelform.foundations.pool import once
 
 # Parts of the image's height: the influence's length L, and the standard deviation of the window for negative depths. Depth
 # off contact is covered alike with half and twice of either, on twelve real sets.
@@ -117,13 +117,13 @@ class DepthErrors:
     mm_per_px: np.float32
     gain_sigma: float
 
-    @cached_property
+    @once
     def common_mm(self) -> Map:
         """Depth that all slopes in proportion and steep ones may be off by together, one standard deviation; 0 at rest."""
         in_proportion = np.float32(self.gain_sigma) * self.means[0]
         return self._over_rest(in_proportion + self._integrated(self.means[1:3]))
 
-    @cached_property
+    @once
     def steep_mm(self) -> Map:
         """The same of steep slopes alone."""
         return self._over_rest(self._integrated(self.means[3:5]))

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
-from functools import cached_property
 from os import PathLike
-from threading import RLock
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelform.arrays import MIB, Array, Map, Mask, Slopes
+from gelform.arrays import MIB, Array, Map, Mask
 from gelform.depth.contact import Contact, at_least, contacts_from_mask, may_be_deeper
 from gelform.depth.force import Force, ForceModel, force_from_result
 from gelform.errors import DataError, Finding, GelformError
@@ -27,9 +25,10 @@ from gelform.foundations.checks import (
     check_within,
 )
 from gelform.foundations.files import damaged, picture_bytes, read_npz, shown_in_notebook, write_npz
+from gelform.foundations.pool import once
 from gelform.image.markers import MarkerFlow
 from gelform.image.view import THUMBNAIL_PX
-from gelform.result.maps import BESIDE_DEPTH, MAPS
+from gelform.result.maps import BESIDE_DEPTH, MAPS, ResultMaps
 from gelform.result.shape import ShapeErrors
 from gelform.slopes.normals import normals_from_gradients
 
@@ -54,27 +53,8 @@ class ResultNumbers:
         return {"peak": self.peak, "area": self.area, "volume": self.volume}
 
 
-class Later:
-    """A value of a result that is computed on first use. Copies of the result share it; threads can ask for it at once.
-
-    Values that follow from the same things have one lock, which is held meanwhile.
-    """
-
-    def __init__(self, make: Callable[[], Any], lock: RLock | None = None) -> None:
-        self._make: Callable[[], Any] | None = make
-        self._lock, self._value = lock or RLock(), None
-
-    def __call__(self) -> Any:
-        """The value."""
-        with self._lock:
-            if self._make is not None:
-                self._value = self._make()
-                self._make = None
-            return self._value
-
-
 @dataclass(frozen=True, eq=False)
-class Reconstruction:
+class Reconstruction(ResultMaps):
     """The result of one frame. What is not its depth is computed on first use, if a Reconstructor made it.
 
     Attributes
@@ -106,16 +86,8 @@ class Reconstruction:
     albedo_source : function that computes `albedo` on demand; not saved
     """
 
-    depth: Map
-    depth_sigma_mm: Map | None
-    gradients: Slopes
-    gradients_sigma: Map | None
-    confidence: Map
-    contact: Mask
-    known: Mask
     mm_per_px: float | tuple[float, float] | None
     mm_per_px_sigma: float | None = None
-    observed_gradients: Slopes | None = None
     zero: str = "untouched"
     solver: str = ""
     # Without an attribute of the class, which would hide that a value is still to be computed.
@@ -137,7 +109,7 @@ class Reconstruction:
         if len(shape) != 2:
             raise ValueError(f"Expected depth of shape (H, W), got {shape}.")
         own = vars(self)
-        own["_later"] = later = {name: value for name, value in own.items() if isinstance(value, Later)}
+        own["_later"] = later = {name: value for name, value in own.items() if isinstance(value, once)}
         for name in later:
             del own[name]
         for one in BESIDE_DEPTH:
@@ -160,12 +132,12 @@ class Reconstruction:
         return {**values, "_later": {}, "albedo_source": None}
 
     def changed(self, **changes: Any) -> Reconstruction:
-        """A copy with other values, which may be `Later`; what nobody has asked for stays to be computed, once for both."""
+        """A copy with other values, which may be `once`; what nobody has asked for stays to be computed, once for both."""
         own, later = vars(self), vars(self)["_later"]
         values = {one.name: later.get(one.name, own.get(one.name)) for one in fields(self)}
         return type(self)(**{**values, **changes})
 
-    @cached_property
+    @once
     def normals(self) -> Map:
         """Unit normals (H, W, 3), n_z > 0, of the gradients."""
         return normals_from_gradients(self.gradients)
@@ -178,7 +150,7 @@ class Reconstruction:
         """
         return self._labeled[0]
 
-    @cached_property
+    @once
     def numbers(self) -> ResultNumbers | None:
         """The deepest point, and the area and volume of all contacts; None if depth is known in no pixel."""
         known, depth, found = self.known, self.depth, self.contacts
@@ -201,16 +173,16 @@ class Reconstruction:
         """The number (H, W) of each pixel's contact, as in `Contact.label`; 0 where nothing touches."""
         return self._labeled[1]
 
-    @cached_property
+    @once
     def _labeled(self) -> tuple[tuple[Contact, ...], NDArray[np.uint16]]:
         return contacts_from_mask(self.contact, self.depth, mm_per_px=self.mm_per_px, known=self.known)
 
-    @cached_property
+    @once
     def force(self) -> Force:
         """The force on the gel, N, each part with its standard deviation, or None and the reason."""
         return force_from_result(self, self.force_model)
 
-    @cached_property
+    @once
     def albedo(self) -> Map | None:
         """Reflectance (H, W) relative to the gel at rest, if the color model is photometric stereo.
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cache, cached_property
+from functools import cache
 from typing import Any, NamedTuple
 
 import cv2
@@ -26,6 +26,7 @@ from gelform._native import Kernel
 from gelform.arrays import Array, Image, Map, Mask, Numbers, Slopes
 from gelform.errors import Finding
 from gelform.foundations.checks import HIGHEST_SLOPE, check_slopes
+from gelform.foundations.pool import once
 from gelform.image.background import PreparedBackground, Reference
 from gelform.image.health import BELOW, BLOCK_PX, LIT
 from gelform.slopes.color_models.seam import PreparedColorModel
@@ -311,12 +312,11 @@ class ExplainedFrame:
 
     def hidden(self, where: Mask | bool | None) -> Map:
         """The deviation of slopes that nothing shows, at those pixels."""
-        nothing = np.zeros_like(self.budget.read)
-        return (
-            nothing
-            if where is None
-            else np.where(where, np.float32(unseen_sigma(self.full_confidence_sigma)), nothing)
+        nothing, unseen = (
+            np.zeros_like(self.budget.read),
+            np.float32(unseen_sigma(self.full_confidence_sigma)),
         )
+        return nothing if where is None else np.where(where, unseen, nothing)
 
     def outliers(self, where: Callable[[Map], Mask]) -> Map:
         """That of colors that no slope gives, by what the channels of their color change have in common, -1 to 1."""
@@ -354,9 +354,7 @@ class Cause(NamedTuple):
     sentence: str  # sentence about the pixels that it is named for; "" if it is never named
     named_from: float  # mm/mm, smallest standard deviation that it has to add to a slope to be named
     color: str  # in pictures, "#rrggbb"
-    of: Callable[[ExplainedFrame], Map] | None = (
-        None  # the deviation that it adds; None: the budget's row of its name
-    )
+    of: Callable[[ExplainedFrame], Map] | None = None  # what it adds; None: the budget's row of its name
 
 
 BLIND = 0.35  # mm/mm, standard deviation that leaves no information; about the slope of a ball's rim
@@ -410,7 +408,7 @@ class Explanation:
     confidence: Map  # 0-1: min(1, (full_confidence_sigma / gradients_sigma)^2)
     full_confidence_sigma: float  # up to which confidence is 1, mm/mm
 
-    @cached_property
+    @once
     def shares(self) -> dict[str, float]:
         """Share of the variance of each cause and of the law (`"law"`), averaged over the pixels; the shares add up to 1."""
         squares = {name: np.square(one) for name, one in (("law", self.law), *self.maps.items())}
@@ -418,7 +416,7 @@ class Explanation:
         found = {name: float(np.mean(square / total)) for name, square in squares.items()}
         return {name: fraction / sum(found.values()) for name, fraction in found.items()}
 
-    @cached_property
+    @once
     def findings(self) -> tuple[Finding, ...]:
         """The important faults, each with the fraction of the frame where it alone leaves no information on a slope."""
         return tuple(
@@ -427,7 +425,7 @@ class Explanation:
             if CAUSES[name].sentence and (fraction := _named_fraction(one > CAUSES[name].named_from)) > 0
         )
 
-    @cached_property
+    @once
     def dominant(self) -> NDArray[np.uint8]:
         """The largest part of each pixel's variance (H, W): 0 for the law, k for the k-th of `maps`."""
         stack = np.stack([self.law, *self.maps.values()])

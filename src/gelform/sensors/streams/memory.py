@@ -17,10 +17,11 @@ from gelform.arrays import Array, Map, Mask
 from gelform.errors import Finding
 from gelform.foundations.checks import check_within
 from gelform.foundations.filters import robust_sigma
+from gelform.foundations.pool import once
 from gelform.image import view
 from gelform.image.health import DepthLimit
 from gelform.image.markers import MarkerFlow
-from gelform.result import Later, ShapeErrors
+from gelform.result import ShapeErrors
 from gelform.result.maps import BESIDE_DEPTH
 from gelform.sensors.streams.sensor_health import (
     FROZEN,
@@ -64,8 +65,8 @@ class Smoothing:
         mean, solved = self._mean.copy(), self._mean.copy()  # the caller may write to the result's
         pitch = result.mm_per_px or 1.0
         pitches = (pitch, pitch) if isinstance(pitch, float) else pitch
-        sigma = Later(partial(_less_noise, result, self._left, self._noise))
-        slopes = Later(partial(slopes_of_solution, solved, pitches))
+        sigma = once(partial(_less_noise, result, self._left, self._noise))
+        slopes = once(partial(slopes_of_solution, solved, pitches))
         return result.changed(depth=mean, depth_sigma_mm=sigma, gradients=slopes)
 
     def _update(self, depth: Map, step_s: float) -> None:
@@ -206,7 +207,7 @@ class Memory:
             own = {finding.name for finding in result.health}
             return (*result.health, *frozen, *(finding for finding in standing if finding.name not in own))
 
-        found = result.changed(health=Later(health))
+        found = result.changed(health=once(health))
         if frozen:  # the image is a hanging camera's: depth stays, but is known nowhere
             nothing = _unusable(self.reconstruct, found.health[-1])
             return found.changed(
@@ -256,12 +257,12 @@ def against_zero(
     Both are against the gel at rest, whose `relaxation_mm` is that of `contact_from_depth`.
     """
     depth, known = result.depth - zero.depth, result.known & zero.known
-    sigma = Later(lambda: _both(result.depth_sigma_mm, zero.depth_sigma_mm))
+    sigma = once(lambda: _both(result.depth_sigma_mm, zero.depth_sigma_mm))
     pitch = 1.0 if result.mm_per_px is None else result.mm_per_px
     solved = depth.copy()  # the caller may write to the result's
 
     def contact() -> Mask:
-        how = {"mm_per_px": pitch, "depth_sigma_mm": sigma(), "relaxation_mm": relaxation_mm}
+        how: dict[str, Any] = {"mm_per_px": pitch, "depth_sigma_mm": sigma(), "relaxation_mm": relaxation_mm}
         return contact_from_depth(solved, **how) & known
 
     observed = result.observed_gradients
@@ -270,13 +271,13 @@ def against_zero(
     return result.changed(
         depth=depth,
         depth_sigma_mm=sigma,
-        gradients=Later(lambda: result.gradients - zero.gradients),
-        gradients_sigma=Later(lambda: _both(result.gradients_sigma, zero.gradients_sigma)),
+        gradients=once(lambda: result.gradients - zero.gradients),
+        gradients_sigma=once(lambda: _both(result.gradients_sigma, zero.gradients_sigma)),
         observed_gradients=observed,
-        contact=Later(contact),
+        contact=once(contact),
         known=known,
         zero=ZERO_SET,
-        shape_errors=Later(lambda: _both_shapes(result.shape_errors, zero.shape_errors)),
+        shape_errors=once(lambda: _both_shapes(result.shape_errors, zero.shape_errors)),
     )
 
 
