@@ -20,18 +20,13 @@ from gelform.depth.integrate import FrameDepth, Integration
 from gelform.depth.sigma import DepthErrors, DepthSigma, Purpose, contradicted_slopes, steep_finding
 from gelform.errors import Finding
 from gelform.foundations.checks import check_image
-<<<<<<< HEAD
-from gelform.foundations.pool import Pool, keep_freed_memory
+from gelform.foundations.pool import Pool, keep_freed_memory, once
 from gelform.image.agreement import (
     background_digest,
     check_own_background,
     check_viewed_image,
     touched_finding,
 )
-=======
-from gelform.foundations.pool import Pool, keep_freed_memory, once
-from gelform.image.agreement import background_digest, check_own_background, check_viewed_image
->>>>>>> frame
 from gelform.image.background import PreparedBackground, reference_from_color_change
 from gelform.image.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 from gelform.image.light import FrameLight
