@@ -249,10 +249,10 @@ def published(node, count):
     """Publish deeper and deeper, two findings alternating; what was published."""
     pairs = []
     for k in range(count):
-        frame = Frame(np.full((*SHAPE, 3), k, np.uint8), k / 10, STAMP_NS + k, k)
+        frame = Frame(np.full((*SHAPE, 3), k, np.uint8), k / 10, STAMP_NS + k * 10**9, k)
         found = (Finding("torn" if k % 2 else "dust", "Look.", 0.5),)
         pairs.append((frame, replace(result_of(0.1 * k), health=found)))
-        node.publish(*pairs[-1], STAMP_NS + k)
+        node.publish(*pairs[-1], STAMP_NS + k * 10**9)
     return pairs
 
 
