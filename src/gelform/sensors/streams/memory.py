@@ -25,6 +25,7 @@ from gelform.result.maps import BESIDE_DEPTH
 from gelform.sensors.playback import Every
 from gelform.sensors.streams.sensor_health import (
     FROZEN,
+    FROZEN_S,
     BackgroundDrift,
     DriftEvidence,
     Examination,
@@ -96,9 +97,9 @@ def _less_noise(result: Reconstruction, left: Map, noise: float) -> Map | None:
 
 
 NOT_THIS_GEL = "not_this_gel"
-# s between the frames of a sensor whose findings are looked for, unless somebody reads those of each one. The memory learns
-# means over a second and more, and its findings take at least a quarter of a second, so eight frames per second are enough.
-LOOK_S = 0.125
+# s between the frames of a sensor whose findings are looked for, unless somebody reads those of each one: eight a second.
+# The memory learns means over a second and more, and a camera that hangs is the finding that comes first.
+LOOK_S = FROZEN_S / 2
 ZERO_SET = "set"  # `Reconstruction.zero` of a depth against a zero that a user set
 
 Work = Callable[[], Any]
