@@ -33,6 +33,7 @@ from gelform.errors import CalibrationError, DataError
 from gelform.foundations import files
 from gelform.foundations.files import (
     FAST_PNG,
+    LIVE_PNG,
     WAYS,
     bytes_of,
     check_free,
@@ -446,7 +447,7 @@ def decoded(content):
     return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
 
 
-@pytest.mark.parametrize("settings", [(), FAST_PNG])
+@pytest.mark.parametrize("settings", [(), FAST_PNG, LIVE_PNG])
 def test_images_come_back_with_red_first(settings):
     np.testing.assert_array_equal(decoded(picture_bytes(IMAGE, settings=settings))[..., ::-1], IMAGE)
 

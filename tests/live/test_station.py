@@ -13,9 +13,10 @@ import pytest
 
 from gelform.errors import CalibrationError, SensorError, SourceLostError
 from gelform.live.hub import Hub
-from gelform.live.station import UNWATCHED_S, MovedSince, Setup, Station
+from gelform.live.station import MovedSince, Setup, Station
 from gelform.motion.between import FOUND, LOST, UNSURE, pose_of_step
 from gelform.sensors.record import Recorder
+from gelform.sensors.streams.memory import LOOK_S
 from gelform.simulate import simulate_background
 from live_waiting import until
 from made.rigid_contacts import MM_PER_PX, SHAPE, ball, contact_of, cylinder, pose, texture
@@ -181,19 +182,19 @@ def test_while_nobody_looks_few_frames_are_reconstructed_and_recorders_get_all(s
     station = show(lambda: ImageSource(GRAY), hub, watched=looking.is_set)
     until(lambda: len(times_s) > 8)
     # A frame is a little older than its reconstruction.
-    assert np.median(np.diff(times_s)) >= 0.9 * UNWATCHED_S
+    assert np.median(np.diff(times_s)) >= 0.9 * LOOK_S
     recorder = Recorder(station.grabber, tmp_path)
     recorder.start()
     until(lambda: recorder.stats.frames > 40)
     recorder.close()
     assert recorder.stats.missing == 0
-    assert recorder.stats.duration_s / recorder.stats.frames < UNWATCHED_S / 2
+    assert recorder.stats.duration_s / recorder.stats.frames < LOOK_S / 2
     looking.set()
-    until(lambda: np.diff(times_s[-20:]).min() < UNWATCHED_S / 2)
+    until(lambda: np.diff(times_s[-20:]).min() < LOOK_S / 2)
     looking.clear()
-    until(lambda: np.median(np.diff(times_s[-6:])) >= 0.9 * UNWATCHED_S)
+    until(lambda: np.median(np.diff(times_s[-6:])) >= 0.9 * LOOK_S)
     station.taps.append(lambda shown: None)  # a guide, or frames that are averaged
-    until(lambda: np.diff(times_s[-4:]).max() < UNWATCHED_S / 2)
+    until(lambda: np.diff(times_s[-4:]).max() < LOOK_S / 2)
 
 
 class Counted(ImageSource):

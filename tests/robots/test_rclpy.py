@@ -375,10 +375,11 @@ def test_an_end_while_publishing_is_one_line_and_status_0(listener, started, cal
     with camera_of(REST) as camera:
         given = [f"calibration:={calibration}", f"source:={camera.url}", "name:=gel"]
         node = started(*given, program=FROM_OUTSIDE if how == "shutdown" else RUN)
+        depths = listener.hear("/gel/indentation", Image)
         if how == "shutdown":
+            listener.until(lambda: node.poll() is not None)  # what nobody hears is not sent
             lines, status = node.communicate(timeout=WAIT_S)[0].splitlines(), node.returncode
         else:
-            depths = listener.hear("/gel/indentation", Image)
             listener.until(lambda: len(depths) > 3)
             lines, status = ended(node, getattr(signal, how))
     assert status == 0, lines

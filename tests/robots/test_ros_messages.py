@@ -42,14 +42,14 @@ def test_a_name_is_made_of_any_text_and_what_ros_refuses_is_refused():
 def test_topics_have_whole_names_and_come_in_the_tables_order():
     names = " ".join(topic.of("left") for topic in TOPICS.values())
     assert names == (
-        "/left/image_raw /left/image_raw/compressed /left/indentation /left/points /left/wrench /diagnostics "
-        "/left/object_pose"
+        "/left/image_raw /left/indentation /left/points /left/wrench /left/object_pose /diagnostics "
+        "/left/image_raw/compressed"
     )
     assert all(re.fullmatch(r"\w+_msgs/msg/\w+", topic.type) for topic in TOPICS.values())
     assert check_topics(["points", "image", "points"]) == ("image", "points")
     assert check_topics("points") == ("points",)
     for wrong in ([], ["depth"], ["image", "camera_info"]):
-        with pytest.raises(ValueError, match="Expected topics among image, compressed, indentation"):
+        with pytest.raises(ValueError, match="Expected topics among image, indentation, points"):
             check_topics(wrong)
 
 
@@ -115,18 +115,45 @@ MODEL = ForceModel(
 
 def test_silence_is_an_error_and_the_next_frame_is_told_at_once(result):
     pytest.importorskip("rosbags", reason="the extra ros is not installed")
-    told, torn = RosMessages("left", topics=["diagnostics"]), (Finding("torn", "Torn.", 0.5),)
+    told = RosMessages("left", topics=["diagnostics"])
 
-    def count(of, **how):
-        return len(list(told.due(FRAME, of, STAMP_NS, **how)))
+    def count(of):
+        return len(list(told.due(FRAME, of, STAMP_NS)))
 
-    assert [count(result), count(result), count(replace(result, health=torn))] == [1, 0, 1]
-    assert count(result, each_change=False) == 0
+    assert [count(result), count(result), count(torn(result))] == [1, 0, 1]
     kind = "diagnostic_msgs/msg/DiagnosticArray"
     status = decoded(told, told.silence("reconnecting", "unplugged", STAMP_NS), kind).status[0]
     assert (status.level, status.message) == (2, "no_frame")
     assert status.values[0].value == "reconnecting: unplugged"
-    assert count(result, each_change=False) == 1
+    assert count(torn(result)) == 1
+
+
+def torn(result):
+    return replace(result, health=(Finding("torn", "Torn.", 0.5),))
+
+
+def test_a_change_of_the_findings_is_looked_for_as_often_as_asked(made, result):
+    told, times_s = RosMessages("left", topics=["diagnostics"], look_s=0.125), np.arange(0, 2, 1 / 60)
+    # OK until 0.25 s, then torn: it is told at the next look, and once more a second later.
+    said = [
+        time_s
+        for time_s in times_s
+        if list(told.due(FRAME, torn(result) if time_s > 0.25 else result, int(time_s * 1e9)))
+    ]
+    assert said[:2] == pytest.approx([0, 0.383], abs=0.02)
+    assert said[2:] == pytest.approx([said[1] + 1], abs=0.02)
+
+
+def test_what_nobody_wants_is_not_made_but_the_pose_follows_all_the_same(monkeypatch, result):
+    pytest.importorskip("rosbags", reason="the extra ros is not installed")
+    told = RosMessages("left", topics=TOPICS)
+    made = []
+    for name in TOPICS:
+        monkeypatch.setattr(told, name, lambda *_, name=name: made.append(name))
+    list(told.due(FRAME, result, STAMP_NS, {"points"}.__contains__))
+    assert made == ["points", "pose"]
+    list(told.due(FRAME, result, STAMP_NS))
+    assert made[2:] == list(TOPICS)
 
 
 def test_compressed_is_the_camera_s_jpeg_or_the_pixels_without_loss(made, result):

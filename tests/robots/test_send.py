@@ -42,11 +42,11 @@ Reader = pytest.importorskip("rosbags.rosbag2", reason="the extra ros is not ins
 START_NS, RATE_HZ, FRAMES = 1_700_000_000_123_456_789, 50, 4
 
 
-def sent(source, calibration, seconds=None):
+def sent(source, calibration, seconds=None, **how):
     """The stamps of what was sent, and the figures."""
     stamps = []
     with gelform.stream(source, calibration) as running:
-        stats = send_results(running, "here", "left", lambda *given: stamps.append(given[2]), seconds)
+        stats = send_results(running, "here", "left", lambda *given: stamps.append(given[2]), seconds, **how)
     return stamps, stats
 
 
@@ -56,7 +56,12 @@ def test_stamps_are_those_of_the_frames_and_seconds_end_it(recording, calibratio
     assert (stats.sensor, stats.frames, stats.drops, stats.stamped) == ("left", 4, 0, True)
     assert stats.duration_s == pytest.approx(3 / RATE_HZ)
     stamps, stats = sent(recording, calibration, 1.5 / RATE_HZ)
-    assert len(stamps) == stats.frames == 2
+    assert len(stamps) == stats.frames == stats.tally.frames == 2
+
+
+def test_findings_are_tallied_as_often_as_asked(recording, calibration):
+    stamps, stats = sent(recording, calibration, look_s=2.5 / RATE_HZ)
+    assert (len(stamps), stats.frames, stats.tally.frames) == (4, 4, 2)
 
 
 def test_frames_without_a_time_are_stamped_from_now_on(recording, calibration, tmp_path):
@@ -249,10 +254,10 @@ def published(node, count):
     """Publish deeper and deeper, two findings alternating; what was published."""
     pairs = []
     for k in range(count):
-        frame = Frame(np.full((*SHAPE, 3), k, np.uint8), k / 10, STAMP_NS + k, k)
+        frame = Frame(np.full((*SHAPE, 3), k, np.uint8), k / 10, STAMP_NS + k * 10**9, k)
         found = (Finding("torn" if k % 2 else "dust", "Look.", 0.5),)
         pairs.append((frame, replace(result_of(0.1 * k), health=found)))
-        node.publish(*pairs[-1], STAMP_NS + k)
+        node.publish(*pairs[-1], STAMP_NS + k * 10**9)
     return pairs
 
 

@@ -13,9 +13,17 @@ import pytest
 import gelform
 from gelform.errors import DataError, GelformError
 from gelform.sensors.films import open_film
-from gelform.sensors.playback import Player, RecordingFacts
+from gelform.sensors.playback import Every, Player, RecordingFacts
 from live_waiting import until
 from made.sources import recorded
+
+
+def test_on_average_once_a_period_whatever_the_times_between():
+    due, times_s = Every(0.125), np.arange(0, 8, 1 / 60)
+    assert sum(map(due, times_s)) == 64
+    assert due(0.0), "the times have begun again"
+    assert [due(time_s) for time_s in (0.1, 5.0, 5.1, 5.13)] == [False, True, False, True]
+    assert all(map(Every(), (0.0, 0.0, 1.0)))
 
 
 @pytest.mark.parametrize(("form", "rate_hz"), [("mcap", 20), ("video", 20), ("images", 25)])

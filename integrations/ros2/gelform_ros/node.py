@@ -8,6 +8,7 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import Any
 
+import cv2
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
@@ -26,6 +27,8 @@ import gelform
 from gelform.robots.ros_messages import RosMessages
 from gelform.robots.topics import TOPICS, USUAL, sensor_name_from
 from gelform.sensors import read_background
+from gelform.sensors.playback import Every
+from gelform.sensors.streams.memory import LOOK_S
 from gelform_ros import interruptible
 
 TYPES = {
@@ -63,20 +66,21 @@ class GelformNode(Node):
             )
         )
         rate_hz = self._parameter("rate", 0.0, dynamic_typing=True)  # 30 as well as 30.0
-        self._depth_only = self._parameter("depth_only", False)
+        depth_only = self._parameter("depth_only", False)
         if isinstance(rate_hz, (bool, str)) or not 0 <= rate_hz < float("inf"):
             raise ValueError(f"Expected `rate` in results a second, or 0 for all of them, got {rate_hz!r}.")
         if not calibration:
             raise ValueError("Expected the path of a calibration in the parameter `calibration`, got none.")
         loaded = gelform.load_calibration(calibration)
-        if self._depth_only:
+        if depth_only:
             topics = "indentation,diagnostics"
-        self._least_s = 1 / rate_hz if rate_hz else 0.0
+        self._due = Every(1 / rate_hz if rate_hz else 0.0)
         self._messages = RosMessages(
             name or sensor_name_from(loaded.sensor_name),
             loaded.serial or "",
             topics.split(","),
             loaded.settings.place_error,
+            SILENT_S if depth_only else LOOK_S,
         )
         if {"indentation", "points", "pose"} & set(self._messages.topics):
             _ = loaded.known_mm_per_px
@@ -144,7 +148,7 @@ class GelformNode(Node):
         self.ended.set_result(self.status)
 
     def _publish_results(self) -> None:
-        index, due_s, start = -1, -float("inf"), (0, 0.0)
+        index, start = -1, (0, 0.0)
         while not self._stop.is_set():
             one = self._stream.newest(index, SILENT_S)
             if one is None:
@@ -161,16 +165,13 @@ class GelformNode(Node):
                 continue
             start = start if self.frames else (time.time_ns(), one.time_s)
             index = one.index
-            if one.time_s < due_s:
+            if not self._due(one.time_s):
                 continue
-            # On average the rate, though the frames' times are not multiples of its period.
-            due_s = (due_s if due_s > one.time_s - self._least_s else one.time_s) + self._least_s
             # A video has no times of capture: its frames are as far from the first as the source says.
             stamp_ns = one.frame.wall_time_ns or start[0] + round((one.time_s - start[1]) * 1e9)
             self.frames += 1
-            for topic, message in self._messages.due(
-                one.frame, one.result, stamp_ns, each_change=not self._depth_only
-            ):
+            heard = {topic for topic, publisher in self._to.items() if publisher.get_subscription_count()}
+            for topic, message in self._messages.due(one.frame, one.result, stamp_ns, heard.__contains__):
                 self._send(topic, message)
 
 
@@ -182,6 +183,7 @@ def one_line(problem: object) -> str:
 def run(arguments: Any = None) -> int:
     """Run the node until it is interrupted or its source ends; 1 after an error, which is logged as one line."""
     log, node = get_logger(LOG), None
+    cv2.setNumThreads(1)  # every stage of a stream has a thread
     try:
         rclpy.init(args=arguments)
     except KeyboardInterrupt:

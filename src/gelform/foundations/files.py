@@ -609,10 +609,10 @@ def _json(meta: Mapping[str, Any]) -> str:
         ) from problem
 
 
-# PNG with runs of equal bytes and Huffman codes only, because a camera's noise leaves no repetitions to find. Files are a
-# fifth smaller than at zlib's level 1, and written as fast; any PNG reader reads them.
-# In OpenCV's words: IMWRITE_PNG_COMPRESSION, level 1, IMWRITE_PNG_STRATEGY, IMWRITE_PNG_STRATEGY_RLE.
+# Settings of PNG for OpenCV: level 1, with runs and Huffman codes only, because noise leaves no repetitions to find. A fifth
+# smaller than without, and written as fast. With the filter AVG alone (OpenCV 5): twice as fast, at most an eighth larger.
 FAST_PNG = (16, 1, 17, 3)
+LIVE_PNG = (*FAST_PNG, 19, 64)
 
 
 def picture_bytes(pixels: Array, ending: str = ".png", settings: Sequence[int] = ()) -> bytes:

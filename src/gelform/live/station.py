@@ -27,7 +27,7 @@ from gelform.sensors.grabber import STALL_S
 from gelform.sensors.playback import Player
 from gelform.sensors.record import KEPT_FRAMES
 from gelform.sensors.source import Source
-from gelform.sensors.streams.memory import Memory, Timed, Work
+from gelform.sensors.streams.memory import LOOK_S, Memory, Timed, Work
 from gelform.sensors.streams.pipeline import NewestFrames, Pipeline
 from gelform.sensors.streams.sensor_health import camera_findings
 
@@ -97,9 +97,6 @@ LOG = logging.getLogger("gelform.live")
 SETTABLE = (*CONTROLS, "led_level")  # settings of a camera that the page can change
 RETRY_S = 1.0  # s between attempts to open an unavailable source
 WAIT_S = 0.25  # s, longest wait for a frame or a result before the station is looked at again
-# s between reconstructed frames while no page is open. The memory learns means over a second and more, and its
-# findings take at least a quarter of a second, so eight frames per second are enough.
-UNWATCHED_S = 0.125
 
 
 @dataclass(frozen=True)
@@ -117,7 +114,7 @@ class Setup:
         """CalibrationError: the background is not of the calibrated sensor."""
         if self.calibration is not None:
             run = Reconstructor(self.calibration, background=self.background)
-            object.__setattr__(self, "memory", Memory(run))
+            object.__setattr__(self, "memory", Memory(run, look_s=LOOK_S))
 
     def taking(self, calibration: Calibration, name: str, background: NDArray[np.float32]) -> Setup:
         """A setup with a background that was taken now; `undone` undoes it."""
@@ -400,7 +397,7 @@ class Station:
     def _waits(self) -> bool:
         """Whether to skip frames now: the picture is held, or no page is open and a result is recent."""
         unwatched = not (self._watched() or self.taps)
-        return self.paused or (unwatched and time.monotonic() - self._begun_s < UNWATCHED_S)
+        return self.paused or (unwatched and time.monotonic() - self._begun_s < LOOK_S)
 
     def _show(self, shown: ShownFrame) -> None:
         moved, calibration = self.moved, self._setup.calibration

@@ -5,7 +5,7 @@ REP-103: a frame whose name ends in `_optical_frame` has x to the right, y down 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -18,8 +18,8 @@ from gelform.exchange.exporters.surface import M_PER_MM, points_from_result
 from gelform.motion.between import about_other_center
 from gelform.motion.track import Follower
 from gelform.robots.topics import TOPICS, USUAL, check_sensor_name, check_topics
-from gelform.sensors.mcap import header_of, typestore
-from gelform.sensors.playback import encoded_from_frame
+from gelform.sensors.mcap import NS_PER_S, header_of, typestore
+from gelform.sensors.playback import Every, encoded_from_frame
 
 
 def indentation_m(result: Reconstruction) -> NDArray[np.float32]:
@@ -32,7 +32,8 @@ def indentation_m(result: Reconstruction) -> NDArray[np.float32]:
 class RosMessages:
     """Messages of one sensor, named as in ROS; `hardware_id` of the diagnostics is such as the serial number.
 
-    `place_error` is a calibration's, for the covariance of the pose; see `motion_between`.
+    `place_error` is a calibration's, for the covariance of the pose; see `motion_between`. To find out whether the findings
+    have changed takes half of a frame's time: it is done every `look_s`, s; 0: for each frame.
 
     DataError: the extra `ros` is not installed. ValueError: the sensor is no ROS name, or a topic is unknown.
     """
@@ -43,6 +44,7 @@ class RosMessages:
         hardware_id: str = "",
         topics: Iterable[str] = USUAL,
         place_error: float | None = None,
+        look_s: float = 0.0,
     ) -> None:
         self.sensor, self.hardware_id = check_sensor_name(sensor), hardware_id
         self.topics = check_topics(topics)
@@ -50,30 +52,42 @@ class RosMessages:
         self.store = typestore()
         self.camera_frame, self.gel_frame = f"{sensor}_camera_optical_frame", f"{sensor}_gel_optical_frame"
         self._said: tuple[tuple[str, ...] | None, int] = (None, 0)
+        self._looks = Every(look_s)
         self._place_error = place_error
         self.reset_pose()
 
     def due(
-        self, frame: Frame, result: Reconstruction, stamp_ns: int, *, each_change: bool = True
+        self,
+        frame: Frame,
+        result: Reconstruction,
+        stamp_ns: int,
+        wanted: Callable[[str], bool] = lambda topic: True,
     ) -> Iterator[tuple[str, memoryview]]:
         """(topic, message) pairs of a frame taken at UTC ns.
 
-        Diagnostics come once a second, as ROS's own do, and with `each_change` when the findings change, which takes the
-        time to find them in each frame.
+        What is not `wanted` is not made, but for the pose, which follows the object from frame to frame. Diagnostics come
+        once a second, as ROS's own do, and when the findings have changed.
         """
         for name in self.topics:
-            if name == "diagnostics":
-                before, said_ns = self._said
-                recent = abs(stamp_ns - said_ns) < 10**9
-                if recent and not each_change:
-                    continue
-                names = tuple(finding.name for finding in result.health)
-                if recent and before == names:
-                    continue
-                self._said = (names, stamp_ns)
+            if not (name == "pose" or wanted(name)) or (
+                name == "diagnostics" and not self._is_news(result, stamp_ns)
+            ):
+                continue
             message = getattr(self, name)(frame, result, stamp_ns)
             if message is not None:
                 yield name, message
+
+    def _is_news(self, result: Reconstruction, stamp_ns: int) -> bool:
+        """Whether diagnostics are due."""
+        before, said_ns = self._said
+        recent = abs(stamp_ns - said_ns) < NS_PER_S
+        if not self._looks(stamp_ns / NS_PER_S) and recent:
+            return False
+        names = tuple(finding.name for finding in result.health)
+        if recent and before == names:
+            return False
+        self._said = (names, stamp_ns)
+        return True
 
     def image(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
         """The frame from the camera: sensor_msgs/Image, rgb8."""
@@ -92,7 +106,9 @@ class RosMessages:
     def points(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> memoryview:
         """The surface, row by row: (x, y, -depth), meters; NaN where unknown: sensor_msgs/PointCloud2."""
         height, width = result.shape
-        points = (points_from_result(result) * M_PER_MM).astype("<f4")
+        points = points_from_result(result)
+        points *= M_PER_MM
+        points = points.astype("<f4", copy=False)
         points[~result.known.ravel()] = np.nan
         field = self._type("sensor_msgs/msg/PointField")
         # 7 is float32.

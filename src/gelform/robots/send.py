@@ -39,8 +39,8 @@ from gelform.robots.topics import (
     check_topics,
     sensor_name_from,
 )
-from gelform.sensors.playback import Closing
-from gelform.sensors.streams.memory import StreamFrame
+from gelform.sensors.playback import Closing, Every
+from gelform.sensors.streams.memory import LOOK_S, StreamFrame
 
 
 class BagFile:
@@ -216,7 +216,7 @@ class ZenohNode(Closing):
             raise ValueError(f"Expected a ROS domain from 0 to {MAX_DOMAIN}, got {domain}.")
         for module in ("zenoh", "rosbags.typesys"):
             needed(module, "ros", "Publishing for ROS 2")
-        self._messages = RosMessages(sensor, hardware_id, topics, place_error)
+        self._messages = RosMessages(sensor, hardware_id, topics, place_error, LOOK_S)
         self._session = _session(router)
         self.node = Node(domain, str(self._session.zid()), f"gelform_{sensor}")
         declare = self._session.liveliness().declare_token
@@ -265,7 +265,7 @@ class RclpyNode:
         hardware_id: str = "",
         place_error: float | None = None,
     ) -> None:
-        self._messages = RosMessages(sensor, hardware_id, topics, place_error)
+        self._messages = RosMessages(sensor, hardware_id, topics, place_error, LOOK_S)
         kinds = {name: TOPICS[name].type.split("/msg/") for name in self._messages.topics}
         try:
             import rclpy
@@ -279,15 +279,15 @@ class RclpyNode:
         self._context = rclpy.Context()  # not the default one, so that rclpy leaves Ctrl-C to Python
         rclpy.init(context=self._context, domain_id=domain)
         self._node = rclpy.create_node(f"gelform_{sensor}", context=self._context)
-        self._put = {
-            name: self._node.create_publisher(types[name], TOPICS[name].of(sensor), 10).publish
-            for name in types
+        self._to = {
+            name: self._node.create_publisher(types[name], TOPICS[name].of(sensor), 10) for name in types
         }
 
     def publish(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> None:
-        """As `ZenohNode.publish`."""
-        for name, message in self._messages.due(frame, result, stamp_ns):
-            self._put[name](bytes(message))  # which rclpy publishes as they are
+        """As `ZenohNode.publish`; topics without a subscriber cost nothing."""
+        heard = {name for name, publisher in self._to.items() if publisher.get_subscription_count()}
+        for name, message in self._messages.due(frame, result, stamp_ns, heard.__contains__):
+            self._to[name].publish(bytes(message))  # rclpy publishes bytes as they are: CDR
 
     def __enter__(self) -> RclpyNode:
         return self
@@ -345,7 +345,7 @@ class SentStats:
     frames, duration_s : number of frames, and s from the first to the last
     drops : frames of the source without a result
     stamped : whether frames had capture times; else stamps start at the time of sending the first frame
-    tally : findings of the frames
+    tally : findings of the frames, of live ones eight a second
     problem : the findings of the last frame as text, if depth was known in no pixel of any frame; else ""
     """
 
@@ -381,33 +381,39 @@ def send_results(
     seconds: float | None = None,
     progress: Progress = no_progress,
     doing: str = "sending frames",
+    look_s: float = 0.0,
 ) -> SentStats:
     """Send each result of a source, with its frame and its stamp (capture time, UTC, ns); return the figures.
 
     It ends after `seconds` by the frames' times, and at an interrupt (Ctrl-C), the usual end with a camera. `progress` gets
-    the number of frames so far, and `doing`. Raises the errors of `results_of`.
+    the number of frames so far, and `doing`. The tally has a frame every `look_s`, s; 0: each. Raises the errors of
+    `results_of`.
     """
-    stamped, start_ns, first_s, last_s = True, 0, 0.0, 0.0
+    stamped, start_ns, first_s, last_s, frames = True, 0, 0.0, 0.0, 0
+    looks = Every(look_s)
     tally, problem = FrameTally(), ""
     try:
         for one in results_of(running, source, "send"):
-            frame, time_s, health = one.frame, one.time_s, one.result.health
+            frame, time_s = one.frame, one.time_s
             if not start_ns:
                 start_ns, first_s, last_s = time.time_ns(), time_s, time_s
                 stamped = frame.wall_time_ns > 0
             if seconds is not None and time_s - first_s >= seconds:
                 break
             last_s = time_s
-            tally.add((finding.name for finding in health), known=bool(one.result.known.any()))
-            problem = " ".join(finding.message for finding in health)
             # Frames without a capture time are as far from the first as the source says.
             later_ns = start_ns + round((time_s - first_s) * 1e9)
             send(frame, one.result, frame.wall_time_ns if stamped else later_ns)
-            progress(tally.frames, tally.frames, doing)
+            frames += 1
+            if looks(time_s):
+                health = one.result.health
+                tally.add((finding.name for finding in health), known=bool(one.result.known.any()))
+                problem = " ".join(finding.message for finding in health)
+            progress(frames, frames, doing)
     except KeyboardInterrupt:
         pass
     problem = problem if tally.is_useless else ""
-    return SentStats(sensor, tally.frames, last_s - first_s, running.stats.drops, stamped, tally, problem)
+    return SentStats(sensor, frames, last_s - first_s, running.stats.drops, stamped, tally, problem)
 
 
 def save_bag(
@@ -510,7 +516,9 @@ def publish(
             background=background,
         ) as running,
     ):
-        return send_results(running, source, name, node.publish, seconds, progress, "publishing frames")
+        return send_results(
+            running, source, name, node.publish, seconds, progress, "publishing frames", LOOK_S
+        )
 
 
 def _of_unit(calibration: Calibration) -> dict[str, Any]:

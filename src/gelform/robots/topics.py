@@ -24,14 +24,15 @@ class Topic:
         return self.name if self.name.startswith("/") else f"/{sensor}/{self.name}"
 
 
+# In the order in which they are sent: the last ones of a frame take the longest to make.
 TOPICS = {
     "image": Topic("image_raw", "sensor_msgs/msg/Image"),
-    "compressed": Topic("image_raw/compressed", "sensor_msgs/msg/CompressedImage", usual=False),
     "indentation": Topic("indentation", "sensor_msgs/msg/Image"),
     "points": Topic("points", "sensor_msgs/msg/PointCloud2"),
     "wrench": Topic("wrench", "geometry_msgs/msg/WrenchStamped"),
-    "diagnostics": Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
     "pose": Topic("object_pose", "geometry_msgs/msg/PoseWithCovarianceStamped", usual=False),
+    "diagnostics": Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
+    "compressed": Topic("image_raw/compressed", "sensor_msgs/msg/CompressedImage", usual=False),
 }
 USUAL = tuple(name for name, topic in TOPICS.items() if topic.usual)
 NEEDS_SCALE = ("indentation", "points", "pose")

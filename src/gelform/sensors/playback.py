@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import threading
 import time
 from bisect import bisect_right
@@ -16,7 +17,7 @@ from typing import Any, TypeVar
 
 from gelform.arrays import Image
 from gelform.errors import DataError, GelformError, said
-from gelform.foundations.files import FAST_PNG, picture_bytes
+from gelform.foundations.files import LIVE_PNG, picture_bytes
 from gelform.image.view import MAX_PIXELS, Frame, in_rgb
 from gelform.sensors.pictures import JPEG, check_declared, image_from_bytes, image_from_jpeg
 
@@ -63,7 +64,7 @@ def encoded_from_frame(frame: Frame) -> tuple[str, bytes]:
     """("jpeg", the bytes as the camera sent them), or ("png", the pixels without loss)."""
     if frame.encoded is not None:
         return "jpeg", frame.encoded
-    return "png", picture_bytes(frame.image, settings=FAST_PNG)
+    return "png", picture_bytes(frame.image, settings=LIVE_PNG)
 
 
 def image_from_encoded(content: bytes, reduction: int, where: str) -> Image:
@@ -103,6 +104,21 @@ class Pace:
     def late_s(self, after_s: float) -> float:
         """Seconds since the moment `after_s` after the start; negative if it is in the future."""
         return time.monotonic() - self._start_s - after_s
+
+
+class Every:
+    """Whether to do something at a time that does not go back: on average once a period, s, whatever the times between."""
+
+    def __init__(self, period_s: float = 0.0) -> None:
+        self.period_s, self._due_s = period_s, -math.inf
+
+    def __call__(self, time_s: float) -> bool:
+        """Whether it is due."""
+        left_s = self._due_s - time_s
+        if 0 < left_s <= self.period_s:  # later than that, the times have begun again
+            return False
+        self._due_s = (self._due_s if -self.period_s < left_s <= 0 else time_s) + self.period_s
+        return True
 
 
 class Closing:

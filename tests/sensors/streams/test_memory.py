@@ -30,6 +30,7 @@ from gelform.sensors.streams.memory import (
     zero_from_results,
 )
 from gelform.sensors.streams.pipeline import Pipeline, feed_from_source
+from gelform.sensors.streams.sensor_health import BackgroundDrift
 from gelform.sensors.streams.stream import Stream
 from made.images import grid, image_of_dots
 from made.sources import ImageSource
@@ -50,6 +51,23 @@ def test_smoothing_is_asked_for(reconstruct, at_rest):
     assert smooth[-1].depth_sigma_mm.mean() < plain[-1].depth_sigma_mm.mean()
     moved = [np.abs(one[-1].depth - one[-2].depth).mean() for one in (smooth, plain)]
     assert moved[0] < 0.4 * moved[1]
+
+
+def test_it_learns_from_a_frame_of_each_look_and_from_all_of_a_background_that_is_asked_for(
+    reconstruct, at_rest, monkeypatch
+):
+    def learned(memory, asked=False):
+        times_s = []
+        monkeypatch.setattr(
+            BackgroundDrift, "__call__", lambda _, image, result: times_s.append(result.time_s)
+        )
+        memory._drift.asked = asked
+        remembered(memory, at_rest)
+        return times_s
+
+    assert learned(Memory(reconstruct)) == pytest.approx(np.arange(10) / 25)
+    assert learned(Memory(reconstruct, look_s=0.1)) == pytest.approx([0, 0.12, 0.2, 0.32])
+    assert len(learned(Memory(reconstruct, look_s=0.1), asked=True)) == 10
 
 
 def test_a_frame_alone_is_reconstructed_whatever_came_before(reconstruct, at_rest, pressed):

@@ -23,8 +23,10 @@ from gelform.image.health import DepthLimit
 from gelform.image.markers import MarkerFlow
 from gelform.result import ShapeErrors
 from gelform.result.maps import BESIDE_DEPTH
+from gelform.sensors.playback import Every
 from gelform.sensors.streams.sensor_health import (
     FROZEN,
+    FROZEN_S,
     BackgroundDrift,
     DriftEvidence,
     Examination,
@@ -96,6 +98,9 @@ def _less_noise(result: Reconstruction, left: Map, noise: float) -> Map | None:
 
 
 NOT_THIS_GEL = "not_this_gel"
+# s between the frames of a sensor whose findings are looked for, unless somebody reads those of each one: eight a second.
+# The memory learns means over a second and more, and a camera that hangs is the finding that comes first.
+LOOK_S = FROZEN_S / 2
 ZERO_SET = "set"  # `Reconstruction.zero` of a depth against a zero that a user set
 
 Work = Callable[[], Any]
@@ -118,7 +123,8 @@ class Memory:
     """A function of the images and results of one sequence, in order; times come from the frames.
 
     It begins with the Reconstructor's background. `smoothing` has a time constant, s. `standing` returns the current
-    findings about the source, such as a camera whose settings differ from the calibration's.
+    findings about the source, such as a camera whose settings differ from the calibration's. It learns from a
+    frame every `look_s`, and from each one of a background that is asked for.
     """
 
     def __init__(
@@ -127,8 +133,10 @@ class Memory:
         *,
         smoothing: float | None = None,
         standing: Callable[[], tuple[Finding, ...]] = tuple,
+        look_s: float = 0.0,
     ) -> None:
         self.reconstruct, self.standing = reconstruct, standing  # for the coming frames
+        self._looks = Every(look_s)
         # Its depth counts as 0: `zero_from_results`; None: the gel at rest.
         self.zero: Reconstruction | None = None
         # Makes slow work; another function may make it elsewhere.
@@ -223,6 +231,8 @@ class Memory:
 
         It may run in another thread than the frames, which then run a frame or two ahead.
         """
+        if not (self._looks(result.time_s or 0.0) or self._drift.taking):
+            return
         if any(finding.name == FROZEN for finding in result.health):
             return
         background = self._drift(image, result)

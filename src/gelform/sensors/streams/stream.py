@@ -36,7 +36,7 @@ from gelform.image.light import block_means
 from gelform.sensors.grabber import Shared
 from gelform.sensors.playback import Closing
 from gelform.sensors.source import Source
-from gelform.sensors.streams.memory import Memory, Smoothing, StreamFrame, Timed, Work
+from gelform.sensors.streams.memory import LOOK_S, Memory, Smoothing, StreamFrame, Timed, Work
 from gelform.sensors.streams.pipeline import Feed, Pipeline, SourceLike, StreamStats, feed_from_source
 from gelform.sensors.streams.sensor_health import camera_findings
 
@@ -289,7 +289,12 @@ def stream(
 
     def memory_of(reconstruct: Reconstructor) -> Memory:
         own = reconstruct.calibration
-        return Memory(reconstruct, smoothing=smoothing, standing=lambda: camera_findings(own, feed.camera))
+        return Memory(
+            reconstruct,
+            smoothing=smoothing,
+            standing=lambda: camera_findings(own, feed.camera),
+            look_s=0.0 if feed.every else LOOK_S,
+        )
 
     try:
         if reconstruct is None:
