@@ -270,6 +270,10 @@ class FrameRecord:
         return ShapeErrors(*maps, sigma.gain_sigma, sigma.correlation_px, sigma.correlated_share, blur_px)
 
 
+# What a result computes of its record.
+ON_FIRST_USE = [one.name for one in fields(Reconstruction) if hasattr(FrameRecord, one.name)]
+
+
 class Reconstructor:
     """Depth in mm from images of the sensor that a calibration belongs to.
 
@@ -445,8 +449,7 @@ class Reconstructor:
     def result(self, record: FrameRecord) -> Reconstruction:
         """The result of a record: its depth, and the rest on first use; the record goes with the last of it."""
         lock, calibration, slopes = RLock(), self.calibration, record.slopes
-        names = (one.name for one in fields(Reconstruction) if hasattr(FrameRecord, one.name))
-        later: dict[str, Any] = {name: once(partial(getattr, record, name), lock) for name in names}
+        later: dict[str, Any] = {name: once(partial(getattr, record, name), lock) for name in ON_FIRST_USE}
         shape_errors = later[
             "shape_errors"
         ]  # and the deviation of depth follow from the same errors, or are None
