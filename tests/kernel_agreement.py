@@ -142,15 +142,23 @@ def bent(s):
 
 
 def pressed(s):
-    """Eight maps, and the work of the step that takes the most."""
-    sizes = bent(s)
-    sums, sample = window(5, 6)(s)["n"], 2 * -(-s["h"] * s["w"] // s["step"])
-    return {**sizes, "n": 8 * s["h"] * s["w"] + max(sums, sample, sizes["n"])}
+    """Five maps and a mask, and the work of the step that takes the most, or runs beyond four maps."""
+    sizes, size = bent(s), s["h"] * s["w"]
+    sums, sample = window(5, 6)(s)["n"], 2 * -(-size // s["step"])
+    most = max(sums, sample, sizes["n"], 5 * s["h"] * half(s["w"]) - 4 * size)
+    return {**sizes, "n": 5 * size + -(-size // 4) + most}
 
 
 def cosines(s):
     n = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 15, 18, 20, 21][s["half"] % 16]
     return {"half": n, "stride": 2 * n + s["stride"] % 3, "knots": n + 1, "n": (6 * n + 1) * LANES}
+
+
+def filtered_modes(s):
+    x, y = (cosines({"half": s[name], "stride": 0}) for name in ("half_x", "half_y"))
+    sides = {f"{name}_{axis}": of[name] for axis, of in (("x", x), ("y", y)) for name in ("half", "knots")}
+    h, w = 2 * y["half"], 2 * x["half"]
+    return {**sides, "h": h, "w": w, "n": h * w + (3 * max(h, w) + 1) * LANES}
 
 
 # Sizes that are not free, and numbers that are tied to them.
@@ -161,13 +169,15 @@ SIZES = {
     "hierarchical_gradients": nodes, "forward_step": nodes,
     "column_jumps": lambda s: {"w": (w := s["w"] + 8), "n": 3 * (w - 1) + 2 * ((w - 1) // 8)},
     "contact_outline": window(2, 2), "pressure_means": window(5, 6),
-    "cosine_rows": cosines, "dct_product": stride, "dct_right_side": stride, "dct_sweep": stride,
+    "cosine_filter": filtered_modes,
+    "cosine_rows": cosines, "dct_passes": lambda s: {**(c := cosines(s)), "w": 2 * c["half"], "rows": s["h"]},
+    "dct_product": stride, "dct_right_side": stride, "dct_sweep": stride,
     "depth_errors": lambda s: {"row_ends": s["r"] + 1, "column_ends": s["c"] + 1, "maps": 10, "n": 10 * s["w"]},
     "distance_to_chosen": lambda s: {"n": (s["h"] + 2) * (s["w"] + 2)},
     "fit_light": lambda s: {"m": 14 * s["n"], "rounds": s["rounds"] % 4 + 1},
     "follow_patches": lambda s: {"side": (side := s["pixels"] % 9 + 1), "pixels": side**2},
     "health_blocks": lambda s: {"h": s["h"] + 15, "w": s["w"] + 15, "bh": (s["h"] + 15) // 16, "bw": (s["w"] + 15) // 16},
-    "health_seam": lambda s: {"m": 3 * s["n"]},
+    "health_bands": lambda s: {"n": s["n"] + 2}, "health_seam": lambda s: {"m": 3 * s["n"]},
     "health_signs": lambda s: {"n": 2 ** s["h"].bit_length()},
     "held_outline": lambda s: {"n": max(5 * s["h"] * half(s["w"]), s["h"] * s["w"])},
     "irradiance": lambda s: {"oversample": (k := s["lights"] % 3 + 1), "h": k * s["rows"], "w": k * s["columns"]},
@@ -180,6 +190,7 @@ SIZES = {
     "pressed_regions": pressed, "rasterise": lambda s: {"count": s["count"] + 3},
     "rest_hold": lambda s: {"n": 9 * s["h"] * half(s["w"]) + 4 * s["h"] * s["w"]},
     "slope_budget": lambda s: {"parts": 8, "count": 21},
+    "touched_regions": lambda s: {"m": s["h"] * s["w"], "n": 5 * s["h"] * half(s["w"]) + -(-s["h"] * s["w"] // 4)},
     "slopes_over_rest": lambda s: {"n": 3 * s["r"] * s["k"]}, "root_at_pixels": lambda s: {"n": 4 * s["w"]},
     "spread_over_chosen": lambda s: {"n": 4 * s["w"]},
 }  # fmt: skip
@@ -228,6 +239,7 @@ GRAY, SIGNED = real(0, 255), real(-1, 1)
 VALUES = {
     **dict.fromkeys(["change", "depth", "gradients", "slopes", "nodes", "table", "bent", "pressure", "mean"], SIGNED),
     **dict.fromkeys(["basis", "shift", "center", "points", "spectrum", "turns", "twists", "texture", "inverse"], SIGNED),
+    **dict.fromkeys(["maps", "turns_x", "twists_x", "turns_y", "twists_y", "smooth"], SIGNED),
     **dict.fromkeys(["coarse", "dx", "dy", "normal", "common", "bias", "x"], SIGNED),
     **dict.fromkeys(["light", "untouched", "blocks", "lit"], GRAY), "levels": real(-20, 280),
     "reach": whole(1, 6), "radius": real(1, 2), "taps": taps,
@@ -245,7 +257,8 @@ VALUES = {
     "slope_budget light": real(0, 1),
     "slope_budget numbers": lambda rng, shape, s: [*rng.uniform(0.05, 1, 20), rng.integers(1, 6)],
     "pressed_regions depth": lambda *of: 9 * SIGNED(*of) ** 9, "factor": real(0.5, 1), "vertices": real(-1, 40),
-    "dct_sweep splits": whole(1, "w"), "gray_levels curve": real(0, 300),
+    **dict.fromkeys(["dct_sweep splits", "dct_passes splits"], whole(1, "w")), "touched_regions least": real(0.5, 6),
+    "gray_levels curve": real(0, 300),
 }  # fmt: skip
 EITHER = {
     "color_change": {"image", "light"},

@@ -9,7 +9,7 @@ import time
 import tracemalloc
 import weakref
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from dataclasses import fields, replace
+from dataclasses import replace
 from multiprocessing import get_context
 
 import cv2
@@ -20,7 +20,7 @@ import gelform
 from gelform.depth.coarse import RestAnchor
 from gelform.depth.sigma import DepthSigma
 from gelform.image.view import Frame, View
-from gelform.reconstruct import FrameRecord, FromCalibration
+from gelform.reconstruct import ON_FIRST_USE, FromCalibration
 from gelform.result.maps import MAPS
 from gelform.simulate import Ball, Punch, simulate_press
 from made import small_gel
@@ -30,11 +30,7 @@ FLIP_TOML = 'name = "turned"\nmm_per_px = {:.6f}\n[view]\nflip = "x"\n'
 
 
 # What a result computes on first use; the errors of its shape come with the deviation of depth.
-ON_DEMAND = [
-    one.name
-    for one in fields(gelform.Reconstruction)
-    if hasattr(FrameRecord, one.name) and one.name != "shape_errors"
-]
+ON_DEMAND = [name for name in ON_FIRST_USE if name != "shape_errors"]
 
 
 def assert_same(one, expected):

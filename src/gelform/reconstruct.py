@@ -275,6 +275,10 @@ class FrameRecord:
         return ShapeErrors(*maps, sigma.gain_sigma, sigma.correlation_px, sigma.correlated_share, blur_px)
 
 
+# What a result computes of its record.
+ON_FIRST_USE = [one.name for one in fields(Reconstruction) if hasattr(FrameRecord, one.name)]
+
+
 class Reconstructor:
     """Depth in mm from images of the sensor that a calibration belongs to.
 
@@ -465,8 +469,7 @@ class Reconstructor:
     def result(self, record: FrameRecord) -> Reconstruction:
         """The result of a record: its depth, and the rest on first use; the record goes with the last of it."""
         lock, calibration, slopes = RLock(), self.calibration, record.slopes
-        names = (one.name for one in fields(Reconstruction) if hasattr(FrameRecord, one.name))
-        later: dict[str, Any] = {name: once(partial(getattr, record, name), lock) for name in names}
+        later: dict[str, Any] = {name: once(partial(getattr, record, name), lock) for name in ON_FIRST_USE}
         # Both follow from the same errors, or are None.
         shape_errors = later["shape_errors"]
         later["depth_sigma_mm"] = once(lambda: shape_errors() and record.depth_sigma_mm, lock)

@@ -116,7 +116,12 @@ def test_a_gel_that_changed_without_a_contact_is_said():
 
     def found(contact, is_touched=True):
         return unknown_contact(
-            contact, 0.01 * ~rest, np.full(rest.shape, 0.01), rest, known, lambda: is_touched
+            contact,
+            np.float32(0.01) * ~rest,
+            np.full(rest.shape, 0.01, np.float32),
+            rest,
+            known,
+            lambda: is_touched,
         )
 
     assert found(none) == ()
@@ -134,10 +139,15 @@ def test_a_touched_region_that_is_unknown_in_part_is_said():
     contact, known = np.zeros((2, 60, 90), bool)
     contact[10:30, 10:30] = contact[40:50, 50:60] = True
     rest = ~cv2.dilate(contact.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
-    depth, known[:], hidden = 0.3 * ~rest, True, np.zeros((60, 90), bool)
+    depth, known[:], hidden = np.float32(0.3) * ~rest, True, np.zeros((60, 90), bool)
 
     def found(**other):
-        given = {"contact": contact, "depth": depth, "sigma": np.full(rest.shape, 0.01), "hidden": hidden}
+        given = {
+            "contact": contact,
+            "depth": depth,
+            "sigma": np.full(rest.shape, 0.01, np.float32),
+            "hidden": hidden,
+        }
         given |= {"at_rest": rest, "known": known, "is_touched": lambda: True, "pitch": 0.1}
         return [(one.name, round(one.figure, 2)) for one in unknown_contact(**given | other)]
 
@@ -151,6 +161,25 @@ def test_a_touched_region_that_is_unknown_in_part_is_said():
     assert found() == [("contact_unknown", 1.0)], "all of it, while another stands"
     assert found(depth=0.15 * depth) == [], "no depth that is sure"
     assert found(pitch=0.01) == [], "a speck"
+
+
+def test_the_sums_of_touched_regions_are_those_of_numpy():
+    def summed(contact, known, at_rest, hidden, depth, sigma, sums, work, factor, least, least_unknown):
+        unknown = ~(known | at_rest | (False if hidden is None else hidden))
+        labels, count = ndimage.label(contact | unknown, np.ones((3, 3)))
+        if not unknown.any() or unknown.sum() < least_unknown:
+            return sums
+        deep = contact | (depth > np.float32(factor) * (np.float32(0) if sigma is None else sigma))
+        y, x = np.indices(depth.shape)
+        rows = [
+            [at.sum(), unknown[at].sum(), x[at].sum(), y[at].sum()]
+            for at in (labels == k for k in range(1, count + 1))
+            if at.sum() >= np.float32(least) and deep[at].any()
+        ]
+        large = sum((labels == k).sum() >= np.float32(least) for k in range(1, count + 1))
+        return np.concatenate([np.reshape(rows, (-1, 4)), np.zeros((large - len(rows), 4)), sums[large:]])
+
+    assert_kernel_agrees(regions_module._touched_regions, summed)
 
 
 def test_depth_that_no_contact_makes_is_said():

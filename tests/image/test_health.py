@@ -360,3 +360,15 @@ def test_real_presses_have_no_bands(data, name):
     for is_turned in (False, True):
         health = FrameHealth(presses.background, is_turned)
         assert not any("bands" in names(health(press.image)) for press in presses.presses)
+
+
+def test_what_thirds_have_in_common_is_that_of_numpy():
+    def in_thirds(sums, gray, smooth, flat, common):
+        each, smooth = sums.shape[1] // 3, smooth.astype(float)
+        rows = sums[:, : 3 * each].reshape(len(sums), 3, -1).mean(axis=2) / health_module.BLOCK_PX
+        change = rows * gray.mean() / max(rows.mean(), 1) - gray
+        change = change - smooth @ (smooth.T @ change)
+        products = (change.T @ change)[[0, 1, 2], [1, 2, 0]] / len(sums)
+        return change, np.array([products.min()])
+
+    assert_kernel_agrees(health_module._bands, in_thirds)

@@ -91,7 +91,7 @@ static void mean_row(const float *restrict sums, ptrdiff_t stride, const float *
 
 // The pressure on each pixel, and means over the known pixels of the square around: of the pressure, how much its values vary
 // there, the variance of slopes, and the bending. `smooth`, `bent`: the surface and minus its Laplacian; `slopes`: variance of slopes;
-// `known`: NULL where all pixels are.
+// `known`: NULL where all pixels are. `mean_bent` may be `slopes`, of which a row is read before that of its mean is written.
 EXPORT int pressure_means(const float *smooth, const float *bent, const float *sigma, const float *slopes, const bool *known,
                           float *pressure, float *mean, float *spread, float *variance, float *mean_bent, float *work,
                           float stiffness, float sigmas, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {

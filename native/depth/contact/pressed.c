@@ -51,7 +51,7 @@ static int gains_of_frame(const float *bent, const float *noise, const bool *at_
   return OK;
 }
 
-enum { MEAN, SURE, VARIANCE, PRESSURE, SPREAD, AROUND, MEAN_BENT, MAPS };  // from the third on they are free for the runs of regions
+enum { PRESSURE, SPREAD, AROUND, SURE, MAPS };  // free for the runs of regions once there is an outline
 
 // `sigma`: of the depth, by which outlines are drawn. `noise`: variance of a slope at rest. `read`, `solved`, `at_rest`: deviations
 // of the frame's slopes, and where the first holds; NULL if unknown. `gains`: variance of a mean's bending at rest, and elsewhere, then
@@ -61,32 +61,32 @@ EXPORT int pressed_regions(const float *depth, const float *sigma, const float *
                            const bool *at_rest, const bool *known, const float *taps, const double *gains, float *smooth, float *bent,
                            float *evidence, uint16_t *labels, float *work, float along_x, float along_y, float stiffness, float factor,
                            float reach, int64_t margin, int64_t step, ptrdiff_t h, ptrdiff_t w, ptrdiff_t t, ptrdiff_t n) {
-  const ptrdiff_t count = h * w, left = n - (MAPS + 1) * count;  // the last map: three masks
-  float *maps[MAPS], *rest = work + (MAPS + 1) * count;
-  bool *outline = (bool *)(work + MAPS * count), *closed = outline + count, *contact = closed + count;
-  if (left < 0) return WRONG_SIZE;
-  for (int k = 0; k < MAPS; k++) maps[k] = work + k * count;
+  // The mean, the mask and the maps; what only earlier steps need stands where a later one writes.
+  const ptrdiff_t count = h * w, mask = (count + 3) / 4, left = n - (1 + MAPS) * count - mask, words = MAPS * count + left;
+  float *mean = work, *maps[MAPS], *rest = work + n - left, *variance_here = evidence, *mean_bent = evidence;
+  bool *contact = (bool *)(work + count), *outline = (bool *)labels, *closed = outline + count;
+  if (left < 0 || words < runs_work(h, w)) return WRONG_SIZE;
+  for (int k = 0; k < MAPS; k++) maps[k] = work + count + mask + k * count;
   const bool by_slopes = gains != NULL && read != NULL && solved != NULL && at_rest != NULL;
-  const float *variance = by_slopes ? maps[VARIANCE] : noise;
-  if (by_slopes) slope_variance(read, solved, at_rest, maps[VARIANCE], count);
+  const float *variance = by_slopes ? variance_here : noise;
+  if (by_slopes) slope_variance(read, solved, at_rest, variance_here, count);
   else at_rest = NULL, gains = NULL;
   float of_mean[2], of_pixel[2];
   if (bent_surface(depth, taps, smooth, bent, rest, along_x, along_y, margin, h, w, t, left) != OK ||
-      pressure_means(smooth, bent, sigma, variance, known, maps[PRESSURE], maps[MEAN], maps[SPREAD], maps[AROUND], maps[MEAN_BENT],
+      pressure_means(smooth, bent, sigma, variance, known, maps[PRESSURE], mean, maps[SPREAD], maps[AROUND], mean_bent,
                      rest, stiffness, SIGMAS, h, w, left) != OK ||
-      gains_of_frame(maps[MEAN_BENT], noise, at_rest, gains, rest, left, of_mean, step, count) != OK ||
+      gains_of_frame(mean_bent, noise, at_rest, gains, rest, left, of_mean, step, count) != OK ||
       gains_of_frame(bent, noise, at_rest, gains == NULL ? NULL : gains + 2, rest, left, of_pixel, step, count) != OK)
     return WRONG_SIZE;
-  if (sure_pressure(maps[PRESSURE], maps[MEAN], maps[SPREAD], sigma, maps[AROUND], noise, at_rest, known, maps[SURE], evidence, stiffness,
+  if (sure_pressure(maps[PRESSURE], mean, maps[SPREAD], sigma, maps[AROUND], noise, at_rest, known, maps[SURE], evidence, stiffness,
                     factor, of_mean[0], of_mean[1], of_pixel[0], of_pixel[1], count) == 0) {
     memset(labels, 0, (size_t)count * sizeof *labels);
     return 0;
   }
   if (contact_outline(maps[SURE], outline, rest, ENDS_AT, h, w, left) != OK) return WRONG_SIZE;
   close_gaps((const uint8_t *)outline, (uint8_t *)contact, (uint8_t *)closed, h, w);
-  int32_t *runs = (int32_t *)maps[VARIANCE];
-  const ptrdiff_t words = (MAPS - VARIANCE) * count;
-  if (held_outline(outline, closed, known, maps[MEAN], smooth, bent, contact, runs, stiffness, HELD_FROM, reach, h, w, words) != OK)
+  int32_t *runs = (int32_t *)maps[0];
+  if (held_outline(outline, closed, known, mean, smooth, bent, contact, runs, stiffness, HELD_FROM, reach, h, w, words) != OK)
     return WRONG_SIZE;
   return label_regions(contact, labels, runs, h, w, words);
 }

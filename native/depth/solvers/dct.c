@@ -2,6 +2,9 @@
 // Rows of work arrays may be longer than the frame's: `stride` of them, of which `w` count.
 #include "../../common.h"
 
+int cosine_rows(float *rows, const float *turns, const float *twists, float *work, int32_t back, ptrdiff_t h, ptrdiff_t stride,
+                ptrdiff_t half, ptrdiff_t knots, ptrdiff_t n);
+
 // Inner pixels of a row: neighbors' slopes along it, and across from the rows above and below. p and q alternate: every other
 // value that is worked out is of no use, which is quicker than to part them first.
 static void inner_pixels(const float *here, const float *above, const float *below, float sx, float sa, float sb, float *restrict right,
@@ -100,6 +103,42 @@ EXPORT int dct_sweep(float *spectrum, const float *pivots, const int64_t *splits
     row = spectrum + i * stride;
     up(row, row + stride, pivots + i * w, 1, splits[i]);
     up(row, row + stride, settled, splits[i], w);
+  }
+  return OK;
+}
+
+// The depth of right sides in place: all three passes of a width that `cosine_rows` transforms.
+EXPORT int dct_passes(float *spectrum, const float *turns, const float *twists, const float *pivots, const int64_t *splits,
+                      const float *end, float *work, ptrdiff_t h, ptrdiff_t stride, ptrdiff_t half, ptrdiff_t knots, ptrdiff_t rows,
+                      ptrdiff_t w, ptrdiff_t n) {
+  const int status = w == 2 * half ? cosine_rows(spectrum, turns, twists, work, 0, h, stride, half, knots, n) : WRONG_SIZE;
+  if (status != OK) return status;
+  dct_sweep(spectrum, pivots, splits, end, h, stride, rows, w);
+  return cosine_rows(spectrum, turns, twists, work, 1, h, stride, half, knots, n);
+}
+
+static void turn_over(const float *restrict from, float *restrict to, ptrdiff_t h, ptrdiff_t w) {
+  for (ptrdiff_t x = 0; x < w; x++)
+    for (ptrdiff_t y = 0; y < h; y++) to[x * h + y] = from[y * w + x];
+}
+
+// Multiplies the cosine modes of maps (m, h, w) by gains (m, w, h), in place; roots of 1 as for `cosine_rows`, of both sides.
+EXPORT int cosine_filter(float *maps, const float *gains, const float *turns_x, const float *twists_x, const float *turns_y,
+                         const float *twists_y, float *work, ptrdiff_t m, ptrdiff_t h, ptrdiff_t w, ptrdiff_t half_x, ptrdiff_t knots_x,
+                         ptrdiff_t half_y, ptrdiff_t knots_y, ptrdiff_t n) {
+  const ptrdiff_t size = h * w, left = n - size;
+  float *turned = work, *rest = work + size;
+  if (left < 0 || w != 2 * half_x || h != 2 * half_y) return WRONG_SIZE;
+  for (ptrdiff_t k = 0; k < m; k++) {
+    float *map = maps + k * size;
+    int status = cosine_rows(map, turns_x, twists_x, rest, 0, h, w, half_x, knots_x, left);
+    turn_over(map, turned, h, w);
+    if (status == OK) status = cosine_rows(turned, turns_y, twists_y, rest, 0, w, h, half_y, knots_y, left);
+    if (status != OK) return status;
+    for (ptrdiff_t i = 0; i < size; i++) turned[i] *= gains[k * size + i];
+    cosine_rows(turned, turns_y, twists_y, rest, 1, w, h, half_y, knots_y, left);
+    turn_over(turned, map, w, h);
+    cosine_rows(map, turns_x, twists_x, rest, 1, h, w, half_x, knots_x, left);
   }
   return OK;
 }

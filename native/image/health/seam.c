@@ -53,3 +53,37 @@ EXPORT int health_seam(const uint16_t *sums, const uint16_t *rest, float *work, 
   for (ptrdiff_t y = 0; y < h; y++) others = totals[y] > others ? totals[y] : others;
   return largest > factor * others && held < spill ? (int)top : 0;
 }
+
+enum { THIRDS = 3, CUBIC = 4, STRIP = 16 };  // terms of a cubic along the rows; px, a strip that sums are over
+
+// What the rows' gray levels in the left, middle and right third of a frame have in common, beyond the background image's and a smooth
+// change: the least mean product of two thirds. `gray` (h, 3): the background's levels; `smooth` (h, 4): orthonormal.
+EXPORT int health_bands(const uint16_t *sums, const float *gray, const float *smooth, float *flat, float *common, ptrdiff_t h,
+                        ptrdiff_t n) {
+  const ptrdiff_t each = n / THIRDS;
+  if (each < 1) return WRONG_SIZE;
+  double all = 0, usual = 0, products[THIRDS] = {0};
+  for (ptrdiff_t y = 0; y < h; y++)
+    for (ptrdiff_t t = 0; t < THIRDS; t++) {
+      int64_t total = 0;
+      for (ptrdiff_t i = 0; i < 3 * each; i++) total += sums[3 * (y * n + t * each) + i];
+      flat[THIRDS * y + t] = (float)total / (float)(3 * STRIP * each);
+      all += (double)flat[THIRDS * y + t], usual += (double)gray[THIRDS * y + t];
+    }
+  const double least = (double)(THIRDS * h), gain = usual / (all > least ? all : least);
+  for (ptrdiff_t t = 0; t < THIRDS; t++) {
+    double terms[CUBIC] = {0};
+    for (ptrdiff_t y = 0; y < h; y++) {
+      float *one = flat + THIRDS * y + t;
+      *one = (float)(gain * (double)*one) - gray[THIRDS * y + t];
+      for (int k = 0; k < CUBIC; k++) terms[k] += (double)(smooth[CUBIC * y + k] * *one);
+    }
+    for (ptrdiff_t y = 0; y < h; y++)
+      for (int k = 0; k < CUBIC; k++) flat[THIRDS * y + t] -= smooth[CUBIC * y + k] * (float)terms[k];
+  }
+  for (ptrdiff_t y = 0; y < h; y++)
+    for (int t = 0; t < THIRDS; t++) products[t] += (double)(flat[THIRDS * y + t] * flat[THIRDS * y + (t + 1) % THIRDS]);
+  for (int t = 1; t < THIRDS; t++) products[0] = products[t] < products[0] ? products[t] : products[0];
+  *common = (float)(products[0] / (double)h);
+  return OK;
+}

@@ -154,8 +154,6 @@ class Parameter:
 
         TypeError, ValueError: the array has another form, or contains NaN where the declaration says finite.
         """
-        if array is None and self.optional:
-            return None
         if not isinstance(array, np.ndarray) or array.dtype != DTYPES[self.kind]:
             got = getattr(array, "dtype", type(array).__name__)
             raise TypeError(f"expected {self.name} as an array of {DTYPES[self.kind]}, got {got}.")
@@ -264,13 +262,16 @@ class Kernel:
                     raise TypeError(f'expected Handle("{parameter.kind}", ...), got {handle!r}.')
             for place, parameter, dtype in self._arrays:
                 array = arguments[place]
+                if array is None and parameter.optional:
+                    seen.append(None)
+                    continue
                 try:
                     if array.dtype is not dtype:
                         raise TypeError
                     values[place] = _byref(_from_buffer(array))
                 except (AttributeError, TypeError, ValueError):  # unusual arrays: check them closely
                     values[place] = parameter.pointer(array)
-                seen.append(None if array is None else array.shape)
+                seen.append(array.shape)
             shapes = tuple(seen)
             sizes = self._sizes_of_shapes.get(shapes) or self._match(shapes)
         except (TypeError, ValueError) as error:

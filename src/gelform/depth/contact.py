@@ -29,6 +29,11 @@ from gelform.image.background import CHANGE_OFFSET
 from gelform.image.view import PIXEL_VARIANCE
 
 _label_regions = Kernel("label_regions", "bool[h,w] mask, out u16[h,w] labels, out i32[n] work")
+_touched_regions = Kernel(
+    "touched_regions",
+    "bool[h,w] contact, bool[h,w] known, bool[h,w] at_rest, bool[h,w]? hidden, f32[h,w] depth, f32[h,w]? sigma, "
+    "out f64[m,4] sums, out i32[n] work, f32 factor, f32 least, f32 least_unknown",
+)
 _region_moments = Kernel("region_moments", "u16[h,w] labels, f32[h,w] depth, out f64[n,14] moments")
 
 
@@ -171,8 +176,7 @@ def unknown_contact(
 
     `is_touched` says whether the image has the structure of a touch: compressed video changes many colors a little.
     """
-    unknown = ~(known | at_rest) if hidden is None else ~(known | at_rest | hidden)
-    if unknown.any() and (found := _unknown_regions(contact, unknown, depth, sigma, MIN_AREA_MM2 / pitch**2)):
+    if found := _unknown_regions(contact, known, at_rest, hidden, depth, sigma, MIN_AREA_MM2 / pitch**2):
         return found
     if contact.any():
         return ()
@@ -187,21 +191,30 @@ def unknown_contact(
 
 
 def _unknown_regions(
-    contact: Mask, unknown: Mask, depth: Map, sigma: Map | None, least_px: float
+    contact: Mask,
+    known: Mask,
+    at_rest: Mask,
+    hidden: Mask | None,
+    depth: Map,
+    sigma: Map | None,
+    least_px: float,
 ) -> tuple[Finding, ...]:
     """The findings of touched regions of which `UNKNOWN_SHARE` or more is unknown, the largest region first."""
-    _, labels, boxes, middles = cv2.connectedComponentsWithStats((contact | unknown).view(np.uint8))
-    deep = contact | (depth > 2**0.5 * NOISE_FACTOR * (0 if sigma is None else sigma))  # as regions stand
-    pixels, number = boxes[:, cv2.CC_STAT_AREA], len(boxes)
-    share, pressed = (np.bincount(labels[one], minlength=number) / pixels for one in (unknown, deep))
-    touched = np.where((pressed > 0) & (pixels >= least_px), pixels, 0)
-    touched[0] = 0  # around all of them
-    named = np.flatnonzero((share >= UNKNOWN_SHARE) & (touched > UNKNOWN_SHARE * touched.max()))
+    size, words = depth.size, runs_work(depth.shape)
+    sums, work = np.empty((int(size / max(least_px, 1)) + 1, 4)), np.empty(words + -(-size // 4), np.int32)
+    # Regions stand as those of a contact do.
+    count = _touched_regions(
+        contact, known, at_rest, hidden, depth, sigma, sums, work, factor=2**0.5 * NOISE_FACTOR, least=least_px,
+        least_unknown=UNKNOWN_SHARE * least_px,
+    )  # fmt: skip
+    pixels, unknown, x, y = sums[:count].T
+    share = unknown / pixels
+    named = np.flatnonzero((share >= UNKNOWN_SHARE) & (pixels > UNKNOWN_SHARE * pixels.max(initial=0)))
     order = [int(k) for k in named[np.argsort(-pixels[named], kind="stable")]]
     return tuple(
         Finding(
             "contact_unknown",
-            f"{100 * share[k]:.0f} % of what touches the gel around ({middles[k, 0]:.0f}, {middles[k, 1]:.0f}) px are "
+            f"{100 * share[k]:.0f} % of what touches the gel around ({x[k] / pixels[k]:.0f}, {y[k] / pixels[k]:.0f}) px are "
             "unknown, because the slopes there are. It may be deeper, and its area is not that of the contact.",
             float(share[k]),
         )
@@ -475,9 +488,14 @@ class PreparedContact:
         self._gains = None if correlation is None else _gains(pitch, smoothings, **correlation)
         self._taps, self._step = blur_taps(SMOOTHING_PX), max(1, noise.size // MEDIAN_SAMPLES)
         self._numbers = *(step**-2 for step in pitch), length**-2, noise_factor, reach_px, margin
-        # Eight maps, and sums of five more over squares, or a sample.
-        rows, width = 2 * NEIGHBORHOOD_PX + 4, noise.shape[1] + 2 * LANES
-        self._work_size = 8 * noise.size + max((5 * rows + 2) * width, 2 * -(-noise.size // self._step))
+        # Five maps and a mask, and what takes the most: sums of as many over squares, a sample, or runs beyond four maps.
+        maps, rows, width = 5, 2 * NEIGHBORHOOD_PX + 4, noise.shape[1] + 2 * LANES
+        most = max(
+            (maps * rows + 2) * width,
+            2 * -(-noise.size // self._step),
+            runs_work(noise.shape) - 4 * noise.size,
+        )
+        self._work_size = maps * noise.size + -(-noise.size // 4) + most
 
     def __call__(
         self,

@@ -238,22 +238,24 @@ class IntegrationProblem:
 
     def _placed(self, depth: Map) -> Map:
         """Set the zero of each island that no anchor holds, level, then fill beyond the mask."""
-        mask, held = self.mask, False if self.anchor is None else self.anchor > 0
+        mask = self.mask
         if mask is None:
-            if not np.any(held):
+            if self.anchor is None or not self.anchor.any():
                 depth -= zero_depth(depth, self.zero, self.region)
-            return self._levelled(depth, self.region)
+            return self._levelled(depth)
+        held = False if self.anchor is None else self.anchor > 0
         labels = _islands(mask)
         for island in range(1, int(labels.max()) + 1):
             inside = labels == island
             if not np.any(held & inside):
                 depth[inside] -= zero_depth(depth, self.zero, self.region, inside)
-        depth = self._levelled(depth, self.region & mask)
+        depth = self._levelled(depth)
         return depth if mask.all() else fill_unknown(depth[..., None], mask)[..., 0]
 
-    def _levelled(self, depth: Map, region: Mask) -> Map:
+    def _levelled(self, depth: Map) -> Map:
         if self.level not in ("plane", "quadratic"):
             return depth
+        region = self.region if self.mask is None else self.region & self.mask
         return depth - fitted_surface(depth, region, 1 if self.level == "plane" else 2)
 
 

@@ -198,6 +198,12 @@ _seam = Kernel(
 )
 
 
+_bands = Kernel(
+    "health_bands",
+    "u16[h,n,3] sums, f32[h,3] gray, f32[h,4] smooth, out f32[h,3] flat, out f32[1] common",
+)
+
+
 @dataclass(frozen=True, eq=False)
 class FrameFaults:
     """The faults of a frame."""
@@ -224,18 +230,17 @@ class Bands:
         if not self._can_tell:
             return
         self._gray = _gray_of_thirds(self._rest)
-        self._smooth = np.linalg.qr(np.vander(np.linspace(-1, 1, len(self._rest)), 4, increasing=True))[
-            0
-        ].astype(np.float32)
+        powers = np.vander(np.linspace(-1, 1, len(self._rest)), 4, increasing=True)
+        self._smooth = np.ascontiguousarray(np.linalg.qr(powers)[0], dtype=np.float32)
 
     def __call__(self, blocks: ImageBlocks, image: Array) -> tuple[Array, tuple[Finding, ...]]:
         """The image (H, W, 3) without bands, and the finding `bands`: amplitude, gray levels."""
-        if not self._can_tell:
+        # First the question that costs little: nothing is in common that a camera's own gray levels would show.
+        if not self._can_tell or (not self._is_turned and self._in_thirds(blocks) < 0.5):
             return image, ()
         rows, rest = self._rows(blocks, image), self._rest
         gray = _gray_of_thirds(rows)
         gain = self._gray.mean() / max(gray.mean(), np.float32(1))
-        # First the question that costs little: nothing is in common that a camera's own gray levels would show.
         if self._common(gain * gray - self._gray)[0] < 0.5:
             return image, ()
         change = gain * rows - rest
@@ -263,6 +268,12 @@ class Bands:
         along = band[None, :, None] if self._is_turned else band[:, None, None]
         without = image / (1 + along) if multiplies else image - along
         return np.clip(without, 0, 255).astype(np.float32), (Finding("bands", message, float(levels)),)
+
+    def _in_thirds(self, blocks: ImageBlocks) -> float:
+        """The first of `_common` of the gray levels, of an image that is not turned."""
+        flat, common = np.empty_like(self._gray), np.empty(1, np.float32)
+        _bands(blocks.row_sums, self._gray, self._smooth, flat, common)
+        return float(common[0])
 
     def _rows(self, blocks: ImageBlocks, image: Array) -> Map:
         """Gray levels (rows, strips, 3) of the camera's rows, averaged over strips of 16 px."""

@@ -158,7 +158,7 @@ class Reconstruction(ResultMaps):
             return None
         every = bool(known.all())
         y, x = divmod(int((depth if every else np.where(known, depth, -np.inf)).argmax()), depth.shape[1])
-        lowest = float(depth.min() if every else depth[known].min())
+        lowest = float((depth if every else np.where(known, depth, np.inf)).min())
         touched = sum(one.area_px for one in found)
         if self.mm_per_px is None:
             area, volume = float(touched), float(depth[self.contact].sum(dtype=np.float64))

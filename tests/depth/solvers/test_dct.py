@@ -134,6 +134,37 @@ def test_rows_of_smooth_widths_are_transformed_as_scipy_does(shape, pad):
         )
 
 
+@pytest.mark.parametrize("shape", [(1, 4), (5, 12), (33, 90)])
+def test_the_passes_in_one_call_are_those_one_by_one(shape):
+    work = np.random.default_rng(8).standard_normal((shape[0], shape[1] + 5)).astype(np.float32)
+    scratch, elimination = (
+        np.empty((3 * shape[1] + 1) * dct.ROWS, np.float32),
+        dct._elimination(shape, (0.05, 0.08)),
+    )
+
+    def one_by_one(spectrum, *_):
+        whole = transformed_rows(spectrum, shape[1], 0)
+        return transformed_rows(swept(whole, *elimination), shape[1], 1)
+
+    assert_kernel_agrees(dct._passes, one_by_one, work, *dct._turns(shape[1]), *elimination, scratch)
+
+
+@pytest.mark.parametrize("shape", [(2, 4), (12, 16), (30, 20)])
+def test_a_filter_multiplies_modes_as_scipy_does(shape):
+    """In one call where both sides are smooth, and in several where one is not."""
+    rng, (height, width) = np.random.default_rng(9), shape
+    maps, gains = rng.standard_normal((2, 3, *shape)).astype(np.float32)
+    turned = np.ascontiguousarray(np.swapaxes(gains, 1, 2))
+    wanted = idctn(dctn(maps, axes=(1, 2)) * gains, axes=(1, 2))
+    work = np.empty(height * width + (3 * max(shape) + 1) * dct.ROWS, np.float32)
+    turns = *dct._turns(width), *dct._turns(height)
+    assert_kernel_agrees(dct._cosine_filter, lambda *_: wanted, maps, turned, *turns, work)
+    np.testing.assert_allclose(dct.CosineFilter(gains)(maps), wanted, atol=1e-5)
+    odd = maps[:, :, : width - 1], gains[:, :, : width - 1]
+    wanted = idctn(dctn(odd[0], axes=(1, 2)) * odd[1], axes=(1, 2))
+    np.testing.assert_allclose(dct.CosineFilter(odd[1])(odd[0]), wanted, atol=1e-5)
+
+
 def test_widths_that_the_kernel_cannot_transform_are_refused():
     assert [w for w in range(1, 50) if not dct._is_smooth(w) and w % 2 == 0] == [22, 26, 34, 38, 44, 46]
     for width in (22, 26):

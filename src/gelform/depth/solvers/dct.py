@@ -31,6 +31,16 @@ _cosine_rows = Kernel(
     "cosine_rows",
     "out f32[h,stride] rows, f32[half,2] turns, f32[knots,4] twists, out f32[n] work, i32 back",
 )
+_passes = Kernel(
+    "dct_passes",
+    "out f32[h,stride] spectrum, f32[half,2] turns, f32[knots,4] twists, f32[rows,w] pivots, i64[h] splits, f32[w] end, "
+    "out f32[n] work",
+)
+_cosine_filter = Kernel(
+    "cosine_filter",
+    "out f32[m,h,w] maps, f32[m,w,h] gains, f32[half_x,2] turns_x, f32[knots_x,4] twists_x, f32[half_y,2] turns_y, "
+    "f32[knots_y,4] twists_y, out f32[n] work",
+)
 _sweep = Kernel("dct_sweep", "out f32[h,stride] spectrum, f32[rows,w] pivots, i64[h] splits, f32[w] end")
 
 
@@ -74,8 +84,13 @@ class DctSolver:
     def _solve(self, frame: Map, work: Floats) -> None:
         """Depth of a frame, in the first columns of a work array (H, stride)."""
         self._write_right_side(frame, work)
+        elimination = self._pivots, self._splits, self._last
+        if self._transform.turns is not None:
+            with self._transform.work.one() as scratch:
+                _passes(work, *self._transform.turns, *elimination, scratch)
+            return
         self._transform(work, 0)
-        _sweep(work, self._pivots, self._splits, self._last)
+        _sweep(work, *elimination)
         self._transform(work, 1)
 
     def _write_right_side(self, frame: Map, work: Floats) -> None:
@@ -99,16 +114,16 @@ class CosineRows:
 
     def __init__(self, width: int) -> None:
         self.width = width
-        self._turns = _turns(width) if _is_smooth(width) else None
+        self.turns = _turns(width) if _is_smooth(width) else None
         # Narrow rows use a matrix product, because importing scipy.fft takes 0.3 s.
-        self._tables = _cosines(width) if self._turns is None and width <= 128 else None
-        self._work = Pool(lambda: np.empty((3 * width + 1) * ROWS, dtype=np.float32))
+        self._tables = _cosines(width) if self.turns is None and width <= 128 else None
+        self.work = Pool(lambda: np.empty((3 * width + 1) * ROWS, dtype=np.float32))
 
     def __call__(self, rows: Floats, inverse: int) -> None:
         """Transform the first columns of rows (N, >= width) in place; `inverse` is 0 or 1."""
-        if self._turns is not None:
-            with self._work.one() as scratch:
-                _cosine_rows(rows, *self._turns, scratch, inverse)
+        if self.turns is not None:
+            with self.work.one() as scratch:
+                _cosine_rows(rows, *self.turns, scratch, inverse)
             return
         if self._tables is not None:
             _product(rows, self._tables[inverse])
@@ -128,10 +143,17 @@ class CosineFilter:
     def __init__(self, gains: Floats) -> None:
         self._gains = np.ascontiguousarray(np.swapaxes(gains, 1, 2), dtype=np.float32)
         self._along, self._across = CosineRows(gains.shape[2]), CosineRows(gains.shape[1])
+        size = gains[0].size + (3 * max(gains.shape[1:]) + 1) * ROWS
+        self._work = Pool(lambda: np.empty(size, dtype=np.float32))
 
     def __call__(self, maps: Map) -> Map:
         """The filtered maps (N, h, w)."""
         modes = np.array(maps, dtype=np.float32, order="C")
+        along, across = self._along.turns, self._across.turns
+        if along is not None and across is not None:
+            with self._work.one() as work:
+                _cosine_filter(modes, self._gains, *along, *across, work)
+            return modes
         self._along(modes.reshape(-1, modes.shape[2]), 0)
         turned = np.ascontiguousarray(np.swapaxes(modes, 1, 2))
         rows = turned.reshape(-1, turned.shape[2])
