@@ -279,14 +279,15 @@ def check_places(located: Located) -> None:
         kinds.setdefault(re.sub(r"\d[\d.]*", "", why), []).append(f"{name}: {why}")
     most = sorted(kinds.values(), key=len, reverse=True)[:4]
     listed = "; ".join(f"{len(one)} like {one[0]}" for one in most)
-    circles = [refined.contacts[i].circle_px for i in refined.accepted]
-    remedy = "".join(f"{note} " for note in located.notes)
-    notes = coverage_notes(circles, presses.image_shape, started=located.start is not None)
+    # The first note that is about a cause; a list of all hides the reasons.
+    cause = next((f"{note} " for note in located.notes if note != UNCHECKED), "")
+    if not rejected:
+        circles = [refined.contacts[i].circle_px for i in refined.accepted]
+        cause += "".join(coverage_notes(circles, presses.image_shape, started=located.start is not None)) + " "
     raise CalibrationError(
         f"Expected at least {least} presses of a ball that fit, got {len(refined.accepted)} of "
         f"{len(presses.presses)} in {presses.folder}. Rejected: {listed or 'none'}. "
-        f"{remedy}Press a ball of known diameter firmly at many places, one image each, best not deeper than half its "
-        f"radius. {' '.join(notes)}"
+        f"{cause}Press a ball of known diameter firmly at many places, one image each, best not deeper than half its radius."
     )
 
 
