@@ -547,6 +547,6 @@ def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
         "narrow_percent": narrow,
         "wide_percent": wide,
         **({} if off is None else {"scale_off_percent": 100 * off}),
-        "ball_sigmas": max((one["sigmas"] for one in content["balls"]), default=None),
+        "ball_sigmas": max((one["sigmas"] for one in content["balls"] if one["checks"]), default=None),
         "scale_percent": None if sigma is None else 100 * sigma / facts["mm_per_px"],
     }
