@@ -428,7 +428,9 @@ def test_evaluate_says_a_ball_that_is_not_the_stated_one(calibration, presses):
         findings = gelform.evaluate(calibration, replace(few, presses=tuple(balls))).findings
         assert len(findings) == len({one.ball_diameter_mm for one in balls}), findings
         for said in findings:
-            read, stated = re.search(r"a ball of ([\d.]+) ± .* mm, but the stated diameter is ([\d.]+) mm", said).groups()
+            read, stated = re.search(
+                r"a ball of ([\d.]+) ± .* mm, but the stated diameter is ([\d.]+) mm", said
+            ).groups()
             assert float(read) == pytest.approx(float(stated) / factor, rel=0.2)
 
 

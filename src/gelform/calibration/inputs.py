@@ -9,7 +9,7 @@ either may be wrong.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import pi, sqrt
 
@@ -311,7 +311,9 @@ def check_places(located: Located) -> None:
     cause = next((f"{note} " for note in located.notes if note != UNCHECKED), "")
     if not rejected:
         circles = [refined.contacts[i].circle_px for i in refined.accepted]
-        cause += "".join(coverage_notes(circles, presses.image_shape, started=located.start is not None)) + " "
+        cause += (
+            "".join(coverage_notes(circles, presses.image_shape, started=located.start is not None)) + " "
+        )
     raise CalibrationError(
         f"Expected at least {least} presses of a ball that fit, got {len(refined.accepted)} of "
         f"{len(presses.presses)} in {presses.folder}. Rejected: {listed or 'none'}. "

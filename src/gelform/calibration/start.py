@@ -60,9 +60,7 @@ def starter_start(presses: Presses, color_model: str) -> tuple[Start | None, tup
     why, own, shape = "", False, starter.calibration.image_shape
     if color_model not in (AUTO, DEFAULT_MODEL):
         why = f"it is of the color model {DEFAULT_MODEL}, and {color_model} was asked for"
-    elif own := bool(
-        {press.digest for press in presses.presses} & set(starter.calibration.training_digests)
-    ):
+    elif own := bool({press.digest for press in presses.presses} & set(starter.calibration.training_digests)):
         why = "it was made from these presses"
     if shape != presses.image_shape:
         (high, wide), (own_high, own_wide) = shape, presses.image_shape

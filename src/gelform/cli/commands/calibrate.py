@@ -114,8 +114,8 @@ def calibrate(
     in_contact, off_contact = (figure(made.held_out.get(name)) for name in ("cap_free_um", "off_contact_um"))
     more = "" if verbose else " (all tables: --verbose)"
     shown.say(
-        f"{calibration.sensor_name}: {used_in_words(made.presses)} ({_lying(made.presses, calibration)}); depth on held-out presses is off by {in_contact} um in "
-        f"the contact, {off_contact} um off it{more}."
+        f"{calibration.sensor_name}: {used_in_words(made.presses)} ({_lying(made.presses, calibration)}); depth on held-out "
+        f"presses is off by {in_contact} um in the contact, {off_contact} um off it{more}."
     )
     wrote = f"{output}{f' and {report / REPORT_FILES[0]}' if report else ''}"
     shown.say(f"Wrote {wrote} in {time.monotonic() - began:.0f} s.")
