@@ -86,9 +86,10 @@ def _pressed_elsewhere(folder):
 
 @pytest.fixture(autouse=True)
 def _as_if_quick(request, monkeypatch):
-    """However busy the machine is, stages have no lines of their own."""
+    """However busy the machine is, stages have no lines."""
     if request.module.__name__.rpartition(".")[2] != "test_console":
-        monkeypatch.setattr("gelform.cli.console.STAGE_AFTER_S", math.inf)
+        for name in ("STAGE_AFTER_S", "LINE_EVERY_S"):
+            monkeypatch.setattr(f"gelform.cli.console.{name}", math.inf)
 
 
 @pytest.fixture
