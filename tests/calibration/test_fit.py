@@ -3,6 +3,7 @@
 The color model and the forward response of all presses, the gel's relaxation, and the error of a place.
 """
 
+import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -417,6 +418,20 @@ def test_seen_presses_are_counted_and_labels_are_used(calibration, presses, simu
     assert evaluation.rows[0]["circle_px"][:2] == label[:2]
     assert evaluation.rows[0]["circle_px"][2] == pytest.approx(label[2], rel=0.3), "the visible rim about it"
     assert evaluation.summary["normal_deg"] < 6
+
+
+def test_evaluate_says_a_ball_that_is_not_the_stated_one(calibration, presses):
+    few = presses.subset([0, 3, 5, 7])
+    assert gelform.evaluate(calibration, few).findings == ()
+    for factor in (0.5, 2.0):
+        balls = [replace(one, ball_diameter_mm=factor * one.ball_diameter_mm) for one in few.presses]
+        findings = gelform.evaluate(calibration, replace(few, presses=tuple(balls))).findings
+        assert len(findings) == len({one.ball_diameter_mm for one in balls}), findings
+        for said in findings:
+            read, stated = re.search(
+                r"a ball of ([\d.]+) ± .* mm, but the stated diameter is ([\d.]+) mm", said
+            ).groups()
+            assert float(read) == pytest.approx(float(stated) / factor, rel=0.2)
 
 
 def test_flat_punches_are_read_beside_the_balls(calibration, presses, sensor):

@@ -138,6 +138,15 @@ def test_contacts_that_are_small_on_the_ball_are_said_where_nothing_checks_it(pr
         assert light_press_notes(located, [BallReading(5.0, 5.0, 0.5, "")]) == (), "the ball was checked"
 
 
+def test_a_model_of_these_presses_checks_no_ball_that_it_agrees_with():
+    agreed, twice = (BallReading(5.0, read, 0.5, "the starter of a DIGIT", own=True) for read in (5.1, 10.0))
+    assert (agreed.checks, twice.checks) == (False, True)
+    assert notes_of([agreed]) == (
+        "Nothing checked the ball's diameter: the starter of a DIGIT was made from these presses.",
+    )
+    assert "look like a ball of 10 ± 0.5 mm" in notes_of([agreed, twice])[0]
+
+
 def test_twice_and_half_are_as_far_off():
     twice, half = BallReading(5.0, 10.0, 0.5, ""), BallReading(20.0, 10.0, 0.5, "")
     assert twice.sigmas == half.sigmas == pytest.approx(np.log(2) / 0.05, rel=5e-3)

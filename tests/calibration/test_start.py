@@ -130,4 +130,4 @@ def test_the_make_brings_the_starter_whatever_the_sensor_is_called(presses, monk
     own = replace(starter.calibration, training_digests=("of others", mini.presses[1].digest))
     monkeypatch.setattr(module, "starter_of_make", lambda _: replace(starter, calibration=own))
     start, (note,) = starter_start(mini, "auto")
-    assert (start.offered, "it was made from these presses." in note) == (False, True)
+    assert (start.offered, start.own, "it was made from these presses." in note) == (False, True, True)

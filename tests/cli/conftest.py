@@ -1,6 +1,7 @@
 """A small simulated sensor, its press folder and its calibration, made once for the tests of the commands."""
 
 import json
+import math
 import shutil
 from dataclasses import replace
 
@@ -81,6 +82,14 @@ def _pressed_elsewhere(folder):
         image = simulate_press(other, Ball(3.0), **where, rng=rng, oversample=1).image
         save(folder / f"{k}.png", np.minimum(image * np.array([1.0, 1.1, 1.3]), 255).astype(np.uint8))
     return folder
+
+
+@pytest.fixture(autouse=True)
+def _as_if_quick(request, monkeypatch):
+    """However busy the machine is, stages have no lines."""
+    if request.module.__name__.rpartition(".")[2] != "test_console":
+        for name in ("STAGE_AFTER_S", "LINE_EVERY_S"):
+            monkeypatch.setattr(f"gelform.cli.console.{name}", math.inf)
 
 
 @pytest.fixture

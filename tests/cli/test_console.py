@@ -139,17 +139,18 @@ def test_quiet(capsys):
 
 
 def test_long_work_says_where_it_is_without_a_screen(capsys, monkeypatch):
-    clock = iter([0.0, 5.0, 31.0, 31.0, 40.0, 62.0, 62.0])
+    """A line for each stage, and one each half minute; nothing of a first second."""
+    work = [
+        (0.2, 1, "reading"), (0.9, 1, "finding circles"), (5.0, 2, "finding circles"), (6.0, 3, "finding circles"),
+        (31.0, 4, "finding circles"), (36.0, 5, "finding circles"), (40.0, 1, "fitting"), (41.0, 2, "fitting"),
+    ]  # fmt: skip
+    clock = iter([0.0, *(time_s for time_s, *_ in work)])
     monkeypatch.setattr("gelform.cli.console.time.monotonic", lambda: next(clock))
     with ShownOption().progress() as progress:
-        for done, what in (
-            (1, "finding circles"),
-            (2, "finding circles"),
-            (3, "finding circles"),
-            (1, "fitting"),
-        ):
+        for _, done, what in work:
             progress(done, 9, what)
-    assert capsys.readouterr().err == "finding circles: 2 of 9\nfitting: 1 of 9\n"
+    said = ["finding circles: 2 of 9", "finding circles: 5 of 9", "fitting: 1 of 9"]
+    assert capsys.readouterr().err.splitlines() == said
 
 
 def test_progress_is_for_a_screen_alone(capsys, monkeypatch):

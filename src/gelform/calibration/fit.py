@@ -18,6 +18,7 @@ from gelform.calibration.circles.locate import locate
 from gelform.calibration.coverage import SAMPLED
 from gelform.calibration.held_out import errors_of, measure_held_out
 from gelform.calibration.inputs import (
+    MOST_SIGMAS,
     background_findings,
     ball_readings,
     check_inputs,
@@ -25,6 +26,7 @@ from gelform.calibration.inputs import (
     first_notes,
     input_notes,
     light_press_notes,
+    readings_of_errors,
 )
 from gelform.calibration.presses.folder import Presses, as_presses, with_view
 from gelform.calibration.presses.press_set import Press
@@ -164,7 +166,9 @@ class Evaluation:
     where: dict[str, Any]
     seen: int  # number of presses that the calibration was made from; their errors say little
     own_background: bool = True  # whether the presses' background is the calibration's own, pixel for pixel
-    findings: tuple[str, ...] = ()  # about a background that is not
+    findings: tuple[
+        str, ...
+    ] = ()  # about a background that is not, and a ball that is read otherwise than stated
     # One per press of a flat punch: its name, its known and its measured height, mm; None if its face is not completely in
     # the image.
     flats: tuple[dict[str, Any], ...] = ()
@@ -203,7 +207,7 @@ def evaluate(
     mm_per_px = calibration.known_mm_per_px
     reconstruct = Reconstructor(calibration, presses.background)
     ratio = calibration.settings.contact_radius_ratio or 1.0
-    rows, errors, pixels = [], [], []
+    rows, errors, pixels, radii = [], [], [], dict[float, list[float]]()
     for done, (press, found) in enumerate(zip(presses.presses, prepare(presses, progress=progress))):
         circle, reason = found.found.circle_px, found.refused or why_no_contact(found.found)
         row: dict[str, Any] = {
@@ -217,6 +221,7 @@ def evaluate(
             result = reconstruct.from_image(press.image)
             wrong, solved, _ = errors_of(done, press, circle, result, mm_per_px, ratio)
             errors.append(wrong)
+            radii.setdefault(press.ball_diameter_mm, []).append(wrong.radius_percent)
             pixels.append(solved)
             row["errors"] = asdict(wrong)
         rows.append(row)
@@ -225,7 +230,11 @@ def evaluate(
         reason = rows[0]["reason"] if rows else "there is none"
         raise DataError(f"No press of {presses.folder} could be evaluated; the first: {reason}.")
     seen = sum(row["seen"] for row in rows if row["reason"] is None)
-    findings = tuple(finding.message for finding in reconstruct.findings)
+    wrong_ball = [one for one in readings_of_errors(calibration, radii) if one.sigmas > MOST_SIGMAS]
+    findings = (
+        *(finding.message for finding in reconstruct.findings),
+        *(one.sentence() for one in wrong_ball),
+    )
     where = errors_where(np.concatenate(pixels), calibration.image_shape, ratio)
     flats = []
     for flat in presses.flats:

@@ -9,7 +9,7 @@ either may be wrong.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import pi, sqrt
 
@@ -35,7 +35,8 @@ from gelform.calibration.circles.find import (
 from gelform.calibration.circles.locate import Located, light_notes
 from gelform.calibration.coverage import NEEDED, SAMPLED, coverage_notes
 from gelform.calibration.presses.press_set import NAMED, Presses
-from gelform.calibration.start import Start
+from gelform.calibration.start import USUAL_SPREAD, Start
+from gelform.calibration_file import Calibration
 from gelform.errors import CalibrationError, Finding
 from gelform.foundations.filters import SIGMA_OF_MEDIAN
 from gelform.image.agreement import check_background_of_frames, orientation_if_doubtful, touch_in_first
@@ -60,10 +61,11 @@ class BallReading:
     read_mm: float
     sigma_mm: float
     by: str  # the model that read it
+    own: bool = False  # made from these presses: that it agrees is no check
 
     def to_dict(self) -> dict[str, float | str]:
-        """Its fields and `sigmas`."""
-        return {**asdict(self), "sigmas": self.sigmas}
+        """Its fields, `sigmas` and `checks`."""
+        return {**asdict(self), "sigmas": self.sigmas, "checks": self.checks}
 
     @property
     def sigmas(self) -> float:
@@ -81,7 +83,14 @@ class BallReading:
                 f"The presses look like a ball of {read}, but the stated diameter is {self.stated_mm:g} mm. {REMEDY} "
                 f"The measurement uses {self.by}."
             )
+        if self.own:
+            return f"Nothing checked the ball's diameter: {self.by} was made from these presses."
         return f"The stated diameter of {self.stated_mm:g} mm agrees with {read}, as measured by {self.by}."
+
+    @property
+    def checks(self) -> bool:
+        """Whether it says something about the stated diameter."""
+        return not self.own or self.sigmas > MOST_SIGMAS
 
 
 UNCHECKED = (
@@ -99,14 +108,14 @@ def ball_readings(located: Located, known: Start | None) -> tuple[BallReading, .
 def notes_of(readings: Sequence[BallReading]) -> tuple[str, ...]:
     """Notes on the ball's diameter: an error, else an agreement, else that nothing checked it."""
     wrong = [one.sentence() for one in readings if one.sigmas > MOST_SIGMAS]
-    return tuple(wrong or [one.sentence() for one in readings] or [UNCHECKED])
+    return tuple(wrong or dict.fromkeys(one.sentence() for one in readings) or [UNCHECKED])
 
 
 def light_press_notes(located: Located, readings: Sequence[BallReading]) -> tuple[str, ...]:
     """A note where nothing checked the ball, and nine of ten contacts are small on it."""
     prepared, contacts = located.refined.of_accepted(located.prepared)
     shares = [contact.radius_px / press.ball_radius_px for press, contact in zip(prepared, contacts)]
-    if readings or not shares or np.quantile(shares, 0.9) > INNER:
+    if any(one.checks for one in readings) or not shares or np.quantile(shares, 0.9) > INNER:
         return ()
     presses = located.presses
     return (
@@ -128,7 +137,26 @@ def _by_model(located: Located, known: Start) -> tuple[BallReading, ...]:
             of_median = sqrt(pi / 2) * float(logs.std()) / np.sqrt(logs.size)
             read = stated * float(np.exp(np.median(logs)))
             sigma = read * float(np.hypot(known.spread, of_median))
-            readings.append(BallReading(stated, read, sigma, known.by))
+            readings.append(BallReading(stated, read, sigma, known.by, known.own))
+    return tuple(readings)
+
+
+def readings_of_errors(
+    calibration: Calibration, radii: Mapping[float, Sequence[float]]
+) -> tuple[BallReading, ...]:
+    """Each stated diameter with the one that a calibration reads: `radii` has spheres' errors of its presses, %.
+
+    The calibration's own error of the radius is their standard deviation, or the make's spread.
+    """
+    usual = SIGMA_OF_MEDIAN * calibration.held_out.get("radius_percent", 0.0) / 100
+    spread = max(usual, calibration.unit_spread or 0.0) or USUAL_SPREAD
+    readings = []
+    for stated, errors in radii.items():
+        logs = np.log([1 + one / 100 for one in errors if np.isfinite(one) and one > -100])
+        if logs.size:
+            read = stated * float(np.exp(np.median(logs)))
+            sigma = read * float(np.hypot(spread, sqrt(pi / 2) * float(logs.std()) / np.sqrt(logs.size)))
+            readings.append(BallReading(stated, read, sigma, "this calibration"))
     return tuple(readings)
 
 
@@ -279,14 +307,17 @@ def check_places(located: Located) -> None:
         kinds.setdefault(re.sub(r"\d[\d.]*", "", why), []).append(f"{name}: {why}")
     most = sorted(kinds.values(), key=len, reverse=True)[:4]
     listed = "; ".join(f"{len(one)} like {one[0]}" for one in most)
-    circles = [refined.contacts[i].circle_px for i in refined.accepted]
-    remedy = "".join(f"{note} " for note in located.notes)
-    notes = coverage_notes(circles, presses.image_shape, started=located.start is not None)
+    # The first note that is about a cause; a list of all hides the reasons.
+    cause = next((f"{note} " for note in located.notes if note != UNCHECKED), "")
+    if not rejected:
+        circles = [refined.contacts[i].circle_px for i in refined.accepted]
+        cause += (
+            "".join(coverage_notes(circles, presses.image_shape, started=located.start is not None)) + " "
+        )
     raise CalibrationError(
         f"Expected at least {least} presses of a ball that fit, got {len(refined.accepted)} of "
         f"{len(presses.presses)} in {presses.folder}. Rejected: {listed or 'none'}. "
-        f"{remedy}Press a ball of known diameter firmly at many places, one image each, best not deeper than half its "
-        f"radius. {' '.join(notes)}"
+        f"{cause}Press a ball of known diameter firmly at many places, one image each, best not deeper than half its radius."
     )
 
 

@@ -22,6 +22,7 @@ from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ForwardResp
 from gelform.slopes.color_models.seam import MAX_SAMPLES, node_positions
 
 AUTO = "auto"
+USUAL_SPREAD = 0.10  # of slopes between units, relative: that of DIGITs, the larger of two makes
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +39,7 @@ class Start:
     )
     offered: bool = False  # whether a fit without it is tried too, and kept if held-out presses prefer it
     note: str = ""  # for the user, if it is of another gel
+    own: bool = False  # whether it was made from these presses
 
     @property
     def subject(self) -> str:
@@ -55,10 +57,10 @@ def starter_start(presses: Presses, color_model: str) -> tuple[Start | None, tup
     if starter is None:
         return None, ()
     start: Start | None = None
-    why, shape = "", starter.calibration.image_shape
+    why, own, shape = "", False, starter.calibration.image_shape
     if color_model not in (AUTO, DEFAULT_MODEL):
         why = f"it is of the color model {DEFAULT_MODEL}, and {color_model} was asked for"
-    elif {press.digest for press in presses.presses} & set(starter.calibration.training_digests):
+    elif own := bool({press.digest for press in presses.presses} & set(starter.calibration.training_digests)):
         why = "it was made from these presses"
     if shape != presses.image_shape:
         (high, wide), (own_high, own_wide) = shape, presses.image_shape
@@ -74,7 +76,7 @@ def starter_start(presses: Presses, color_model: str) -> tuple[Start | None, tup
             by = f"the starter of a {starter.make}"
             known = starter.calibration
             edge = known.settings.contact_radius_ratio
-            start = Start(model, forward, known.digest, starter.spread, by, edge, offered=not why)
+            start = Start(model, forward, known.digest, starter.spread, by, edge, offered=not why, own=own)
     return start, (f"The starter of a {starter.make} was not tried, because {why}.",) if why else ()
 
 
@@ -98,7 +100,7 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
         )
     model, by = first.color_model, f"a calibration of {first.sensor_name}"
     edge = first.settings.contact_radius_ratio
-    spread = first.unit_spread or 0.10  # that of DIGITs, the larger of two makes
+    spread = first.unit_spread or USUAL_SPREAD
     other_gel = first.gel_id and presses.gel_id and first.gel_id != presses.gel_id
     note = f"The start is of gel {first.gel_id}, the presses are of {presses.gel_id}." if other_gel else ""
     if isinstance(model, StartableModel) and first.forward is not None:

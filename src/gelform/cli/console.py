@@ -29,6 +29,7 @@ from gelform.cli.options import Json, Quiet
 from gelform.errors import DOUBTFUL, DataError, FrameTally, GelformError, Progress, counted, no_progress
 
 LINE_EVERY_S = 30.0  # between lines of progress in a file, which keeps them
+STAGE_AFTER_S = 1.0  # from the start of work; from then on each stage has a line there
 # What steers a terminal: control codes (C0, DEL, C1), line separators, and marks that turn the direction of writing.
 _STEERING = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 
@@ -111,12 +112,15 @@ class ShownOption:
             yield no_progress
             return
         if not sys.stderr.isatty():
-            last = time.monotonic()
+            last, stages = time.monotonic(), set[str]()
+            long_s = last + STAGE_AFTER_S
 
             def line(done: int, total: int, what: str) -> None:
                 nonlocal last
-                if time.monotonic() - last >= LINE_EVERY_S:
-                    last = time.monotonic()
+                now = time.monotonic()
+                if now - last >= LINE_EVERY_S or (now >= long_s and what not in stages):
+                    last = now
+                    stages.add(what)
                     say(f"{what}: {done} of {total}" if total else f"{what}: {done}")
 
             yield line

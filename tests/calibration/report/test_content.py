@@ -217,7 +217,7 @@ def test_errors_stand_in_the_place_that_has_them(sample):
     assert errors_where(left, SHAPE, 1.0, (1, 2))["contact"]["by_place"]["normal_deg"][1] is None
 
 
-COVERED_LABEL = "places and slope directions that presses show"
+COVERED_LABEL = "gel that presses cover, in all slope directions"
 GOOD = {limit.name: limit.good for limit in LIMITS}
 
 
@@ -281,21 +281,21 @@ def test_no_headline_is_good_over_a_poor_check(limit):
     assert poor["level"] == ("poor" if limit.name in (*HEADLINE, *REFUTING) else "fair")
     assert not poor["headline"].startswith("Good")
     if limit.name not in (*HEADLINE, *REFUTING):
-        assert f". Poor checks: {limit.label} (" in poor["headline"]
+        assert f"; poor: {limit.label} (" in poor["checks"]
     assert fair["level"] == ("fair" if limit.name in HEADLINE else "good")
-    assert "Poor checks" not in fair["headline"]
+    assert "poor" not in fair["checks"]
 
 
 def test_all_poor_checks_are_said_and_a_poor_headline_stays_poor():
     figures = {"presses_used": 5.0, "covered_percent": 17.2, "normal_free_deg": 2.0}
-    assert verdict(**figures)["headline"] == (
-        "Fair: where presses are (17.2 % of places and slope directions), held-out normals are off by 2.0°, "
-        "the ball radius by 3.0 %. Elsewhere errors are not known. Poor checks: presses used (5), places and "
-        "slope directions that presses show (17.2 %)"
+    judged = verdict(**figures)
+    assert judged["headline"] == (
+        "Fair: held-out normals are off by 2.0°, the ball radius by 3.0 %, where presses are. Elsewhere errors are not known"
     )
-    poor = verdict(**{**figures, "normal_free_deg": 6.0})["headline"]
-    assert poor.startswith("Poor: where presses are (17.2 %")
-    assert "Poor checks" not in poor
+    assert judged["checks"] == (
+        f"{len(LIMITS) - 2} of {len(LIMITS)} are good; poor: presses used (5), {COVERED_LABEL} (17.2 %)"
+    )
+    assert verdict(**{**figures, "normal_free_deg": 6.0})["headline"].startswith("Poor: held-out normals")
 
 
 def test_the_error_of_few_presses_is_said_with_its_own():
@@ -366,9 +366,9 @@ def test_a_refuted_diameter_makes_all_poor_and_an_unchecked_one_is_said():
     assert refuted["level"] == "poor"
     assert refuted["headline"].startswith(wrong)
     assert refuted["next"].startswith("Check the ball's diameter")
-    assert verdict(ball_sigmas=None)["headline"].endswith(". Nothing checked the ball diameter")
-    unusual = verdict(scale_off_percent=25.0)["headline"]
-    assert unusual.endswith(". The mm_per_px is unusual for this sensor")
+    unknown = verdict(ball_sigmas=None)["checks"]
+    assert unknown.endswith("; not known: stated ball diameter against the measured one")
+    assert verdict(scale_off_percent=25.0)["checks"].endswith("; fair: mm_per_px against the make's (25 %)")
 
 
 def test_every_press_has_a_row_and_only_accepted_ones_have_errors(presses, calibration):

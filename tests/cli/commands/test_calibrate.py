@@ -49,13 +49,16 @@ def test_a_calibration_and_its_report_whose_circles_can_be_labels(works, folder,
     assert said["verdict"] == verdict
     assert f"gelform calibrations add {output} --serial SERIAL\n" in err
     lines = err.splitlines()
-    assert lines[:2] == [
-        f"{verdict['headline']}.", f"Next: {_with_places(verdict['next'], content['coverage']['next'])}",
+    lines = lines[lines.index(f"{verdict['headline']}.") :]
+    assert lines[1:3] == [
+        f"Next: {_with_places(verdict['next'], content['coverage']['next'])}", f"Checks: {verdict['checks']}.",
     ]  # fmt: skip
-    assert lines[2].startswith("small: 10 of 10 presses used; depth on held-out presses is off by ")
+    lying = re.match(r"small: 10 of 10 presses used \((.*)\); depth on held-out presses is off by ", lines[3])
+    assert sum(int(one.split()[-1]) for one in lying[1].split(", ")) == 10
+    assert {one.rsplit(" ", 1)[0] for one in lying[1].split(", ")} >= {"right", "bottom"}
     for name in ("cap_free_um", "off_contact_um"):
-        assert f"{held_out[name]:.3g} um" in lines[2]
-    assert re.fullmatch(rf"Wrote {output} and {pages}/report.html in \d+ s\.", lines[3])
+        assert f"{held_out[name]:.3g} um" in lines[3]
+    assert re.fullmatch(rf"Wrote {output} and {pages}/report.html in \d+ s\.", lines[4])
     truth = [press.label for press in read_presses(folder).presses]
     with (pages / "circles.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -80,7 +83,7 @@ def test_tables_are_shown_only_if_asked_for(works, folder, tmp_path):
     (folder / "images" / "0003.png").write_bytes((folder / "background.png").read_bytes())
     how = ("--model", "polynomial", "--overwrite", "-o", tmp_path / "cal.npz")
     out, err = works("calibrate", folder, *how)
-    assert (out, len(err.splitlines())) == ("", 5)
+    assert (out, len(err.splitlines())) == ("", 6)
     assert "9 of 10 presses used" in err
     out, err = works("calibrate", folder, *how, "--verbose")
     tables = ("Rejected presses", "images/0003.png", "Color models tried", "Errors on held-out presses")
@@ -112,6 +115,7 @@ def test_images_without_a_ball(fails, folder, small, tmp_path):
         save_picture(path, np.rint(simulate_background(small, rng)).astype(np.uint8), overwrite=True)
     said = fails("calibrate", folder, "-o", tmp_path / "cal.npz")
     assert "Expected at least 3 presses of a ball that fit, got 0 of 10" in said
+    assert len(re.findall(r"\.(?= |$)", said)) <= 4, "sentences"
     assert not (tmp_path / "cal.npz").exists()
 
 

@@ -214,7 +214,7 @@ LIMITS = (
           "Check mm_per_px. Images of this make have another value, unless you crop them differently."),
     Limit("presses_used", "presses used", "", NEEDED.advised.presses, NEEDED.fair.presses, True,
           "{press}, first at the places marked 1, 2, 3."),
-    Limit("covered_percent", "places and slope directions that presses show", "%", 80, 60, True,
+    Limit("covered_percent", "gel that presses cover, in all slope directions", "%", 80, 60, True,
           "{press}, first at the places marked 1, 2, 3. The presses do not show all slope directions there yet."),
     Limit("off_contact_um", "depth error off contact, held out", "µm", 30, 80, False,
           "Take a new background image in the same minute as the presses, with exposure and white balance fixed."),
@@ -282,9 +282,9 @@ def checks_of(
 
 
 def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = None) -> dict[str, Any]:
-    """The headline: the worse of normals and radius in words, and one sentence about the next step.
+    """The headline: the worse of normals and radius in words; one sentence about the next step; then the checks.
 
-    Both are errors at the places that were pressed. So over any other poor check the headline is fair at best, and names it.
+    Both are errors at the places that were pressed. So over any other poor check the headline is fair at best.
     The next step belongs to the first check that is poor, then fair, then not known; causes come before their effects.
     What more presses mend is left to a check of their number and places that is not good. An uncertainty that is too large
     calls for nothing. If all is good, the sentence says how to keep it so.
@@ -306,10 +306,11 @@ def verdict_of(checks: list[dict[str, Any]], learning_sentence: str | None = Non
     done = "Use it. Calibrate again after a new gel, another light or another camera setting."
     return {
         "level": level,
-        "headline": _headline(level, named, poor, bool(refuted)),
+        "headline": _headline(level, named, bool(refuted)),
         "next": first["action"] if first else done,
         "because": _because(first) if first else None,
         "counts": {name: sum(check["level"] == name for check in checks) for name in (*LEVELS, UNKNOWN)},
+        "checks": _checks_in_words(checks),
         "learning": learning_sentence,
     }
 
@@ -318,32 +319,30 @@ def _because(check: Mapping[str, Any]) -> str:
     return f"{check['label']}: {shown(check)}" + (f", {check['level']}" if check["level"] != UNKNOWN else "")
 
 
-def _headline(
-    level: str, named: Mapping[str, dict[str, Any]], poor: Sequence[dict[str, Any]], refuted: bool
-) -> str:
-    error, covered = named["normal_free_deg"]["standard_error"], named["covered_percent"]
+def _headline(level: str, named: Mapping[str, dict[str, Any]], refuted: bool) -> str:
+    error = named["normal_free_deg"]["standard_error"]
     few = error is not None and not NEEDED.edge.met(int(named["presses_used"]["value"]))
     # What presses do not cover was not held out either.
-    where = (
-        f"where presses are ({shown(covered)} of places and slope directions), "
-        if covered["level"] == "poor"
-        else ""
-    )
+    where = ", where presses are. Elsewhere errors are not known"
     figures = (
-        f"{where}held-out normals are off by {named['normal_free_deg']['value']:.1f}"
+        f"held-out normals are off by {named['normal_free_deg']['value']:.1f}"
         f"{f' ± {error:.1f}' if few else ''}°, the ball radius by {named['radius_percent']['value']:.1f} %"
-        f"{'. Elsewhere errors are not known' if where else ''}"
+        f"{where if named['covered_percent']['level'] == 'poor' else ''}"
     )
     if refuted:
         return f"Poor: the ball diameter or mm_per_px is wrong. With them, {figures}"
-    said = [f"{level.capitalize()}: {figures}"]
-    if poor and level != "poor":
-        said.append("Poor checks: " + ", ".join(f"{check['label']} ({shown(check)})" for check in poor))
-    if named["ball_sigmas"]["value"] is None:
-        said.append("Nothing checked the ball diameter")
-    if named.get("scale_off_percent", {"level": "good"})["level"] != "good":
-        said.append("The mm_per_px is unusual for this sensor")
-    return ". ".join(said)
+    return f"{level.capitalize()}: {figures}"
+
+
+def _checks_in_words(checks: Sequence[Mapping[str, Any]]) -> str:
+    """How many checks are good; of each worse level the others with their figures; the names alone of what is not known."""
+    groups = [f"{sum(one['level'] == 'good' for one in checks)} of {len(checks)} are good"]
+    for level in ("poor", "fair", UNKNOWN):
+        found = [one for one in checks if one["level"] == level]
+        if found:
+            listed = [one["label"] + ("" if level == UNKNOWN else f" ({shown(one)})") for one in found]
+            groups.append(f"{level}: {', '.join(listed)}")
+    return "; ".join(groups)
 
 
 def shown(check: Mapping[str, Any]) -> str:
@@ -548,6 +547,6 @@ def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:
         "narrow_percent": narrow,
         "wide_percent": wide,
         **({} if off is None else {"scale_off_percent": 100 * off}),
-        "ball_sigmas": max((one["sigmas"] for one in content["balls"]), default=None),
+        "ball_sigmas": max((one["sigmas"] for one in content["balls"] if one["checks"]), default=None),
         "scale_percent": None if sigma is None else 100 * sigma / facts["mm_per_px"],
     }

@@ -6,9 +6,10 @@ gelform scale, lens and crosstalk measure before, from objects of known size, an
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import BadParameter, Option
 
@@ -25,6 +26,9 @@ from gelform.cli.files import (
     write_report,
 )
 from gelform.cli.options import argument, listed, number, numbers, one_of, option
+
+if TYPE_CHECKING:
+    from gelform.calibration.report.record import PressReport
 
 Place = Annotated[Path, argument("PLACE", "Press folder, or its sensor.toml, to write into.")]
 MODELS = ("auto", *options.COLOR_MODELS)
@@ -105,12 +109,13 @@ def calibrate(
         _show(calibration, shown)
     shown.say(f"{verdict['headline']}.")
     shown.say(f"Next: {_with_places(verdict['next'], content['coverage']['next'])}")
+    shown.say(f"Checks: {verdict['checks']}.")
     made = calibration.report
     in_contact, off_contact = (figure(made.held_out.get(name)) for name in ("cap_free_um", "off_contact_um"))
     more = "" if verbose else " (all tables: --verbose)"
     shown.say(
-        f"{calibration.sensor_name}: {used_in_words(made.presses)}; depth on held-out presses is off by {in_contact} um in "
-        f"the contact, {off_contact} um off it{more}."
+        f"{calibration.sensor_name}: {used_in_words(made.presses)} ({_lying(made.presses, calibration)}); depth on held-out "
+        f"presses is off by {in_contact} um in the contact, {off_contact} um off it{more}."
     )
     wrote = f"{output}{f' and {report / REPORT_FILES[0]}' if report else ''}"
     shown.say(f"Wrote {wrote} in {time.monotonic() - began:.0f} s.")
@@ -124,6 +129,15 @@ def _with_places(advice: str, places: Sequence[Mapping[str, Any]]) -> str:
     at = [f"{place['name']} ({place['x_px']:.0f}, {place['y_px']:.0f})" for place in places]
     where = f"at pixels (x, y) {', '.join(at)}" if at else "all over the gel"
     return advice.replace("at the places marked 1, 2, 3", where).replace("at places 1, 2, 3", where)
+
+
+def _lying(rows: Sequence[PressReport], calibration: gelform.Calibration) -> str:
+    """How many of the used presses lie in each ninth of the image, most first."""
+    from gelform.calibration.coverage import name_of_place
+
+    shape = calibration.image_shape
+    names = Counter(name_of_place(r.center_x_px, r.center_y_px, shape) for r in rows if r.accepted)
+    return ", ".join(f"{name} {count}" for name, count in names.most_common())
 
 
 def _show(calibration: gelform.Calibration, shown: ShownOption) -> None:
