@@ -166,9 +166,8 @@ class Evaluation:
     where: dict[str, Any]
     seen: int  # number of presses that the calibration was made from; their errors say little
     own_background: bool = True  # whether the presses' background is the calibration's own, pixel for pixel
-    findings: tuple[
-        str, ...
-    ] = ()  # about a background that is not, and a ball that is read otherwise than stated
+    # About a background that is not, and a ball that is read otherwise than stated.
+    findings: tuple[str, ...] = ()
     # One per press of a flat punch: its name, its known and its measured height, mm; None if its face is not completely in
     # the image.
     flats: tuple[dict[str, Any], ...] = ()
