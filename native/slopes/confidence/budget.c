@@ -147,6 +147,17 @@ static inline void add(float *restrict sums, const float *restrict variance, int
   for (int k = 0; k < n; k++) sums[k] += variance[k];
 }
 
+static inline void finish(const struct numbers *restrict c, const float *restrict as_read, const float *restrict of_solved,
+                          const float *restrict of_whole, float *restrict read, float *restrict solved, float *restrict steep,
+                          float *restrict whole, float *restrict confidence, int n) {
+  const float full = square_of(c->full), most = square_of(c->unknown), factor = square_of(c->solved_factor);
+  for (int k = 0; k < n; k++) {
+    const float all = smaller(factor * as_read[k], most) + of_solved[k];
+    read[k] = sqrtf(as_read[k]), solved[k] = sqrtf(all), steep[k] = sqrtf(of_whole[k]), whole[k] = sqrtf(all + of_whole[k]);
+    confidence[k] = smaller(full / (as_read[k] + of_solved[k] + of_whole[k]), 1);
+  }
+}
+
 // Writes, up to n letters, the names of `NUMBERS`, then "law" and those of `ROWS`, each behind a space; returns how many they are.
 EXPORT int slope_budget_names(uint8_t *text, ptrdiff_t n) {
 #define NAME(name) " " #name
@@ -175,10 +186,10 @@ EXPORT int slope_budget(const float *gradients, const bool *at_rest, const float
   memcpy(&c, numbers, sizeof c);
   if (!(c.reach >= 1 && c.reach < (float)PTRDIFF_MAX / 4) || !(c.outlier > 0) || !(c.full > 0)) return WRONG_SIZE;
   const struct frame f = {&c, gradients, rest, of_step, of_model, residual, gain, light, at_rest, unseen, h, w};
-  const float full = square_of(c.full), most = square_of(c.unknown), factor = square_of(c.solved_factor);
+  struct piece p = {0};
   for (ptrdiff_t y = 0; y < h; y++)
     for (ptrdiff_t x = 0; x < w; x += PIECE) {
-      struct piece p = {.x = x, .y = y, .at = y * w + x, .n = w - x < PIECE ? (int)(w - x) : PIECE};
+      p.x = x, p.y = y, p.at = y * w + x, p.n = w - x < PIECE ? (int)(w - x) : PIECE;
       float variance[PIECE], of_solved[PIECE] = {0}, of_whole[PIECE] = {0};
       variance_by_law(&p, &f);
       memcpy(p.read, p.law, sizeof p.law);
@@ -189,14 +200,7 @@ EXPORT int slope_budget(const float *gradients, const bool *at_rest, const float
         if (rows != NULL) write_roots(rows + (1 + i) * h * w + p.at, variance, p.n);
         if (there) add(row[i].raised == READ ? p.read : row[i].raised == SOLVED ? of_solved : of_whole, variance, p.n);
       }
-      for (int k = 0; k < p.n; k++) {
-        const float all = smaller(factor * p.read[k], most) + of_solved[k];
-        read[p.at + k] = sqrtf(p.read[k]);
-        solved[p.at + k] = sqrtf(all);
-        steep[p.at + k] = sqrtf(of_whole[k]);
-        whole[p.at + k] = sqrtf(all + of_whole[k]);
-        confidence[p.at + k] = smaller(full / (p.read[k] + of_solved[k] + of_whole[k]), 1);
-      }
+      finish(&c, p.read, of_solved, of_whole, read + p.at, solved + p.at, steep + p.at, whole + p.at, confidence + p.at, p.n);
     }
   return OK;
 }
