@@ -16,6 +16,10 @@ enum { PIECE = 64 };  // pixels of a row at a time
   ROW(compression, READ) ROW(wall, READ) ROW(outlier, READ) ROW(light, READ) ROW(unseen, READ) ROW(unit, SOLVED)             \
   ROW(steep, WHOLE)
 
+enum { READ, SOLVED, WHOLE };
+#define ONE(name, raised) +1
+enum { ROW_COUNT = 0 ROWS(ONE) };
+
 #define FIELD(name) float name;
 struct numbers {
   NUMBERS(FIELD)
@@ -143,8 +147,11 @@ static inline void write_roots(float *restrict map, const float *restrict varian
   for (int k = 0; k < n; k++) map[k] = sqrtf(variance[k]);
 }
 
-static inline void add(float *restrict sums, const float *restrict variance, int n) {
-  for (int k = 0; k < n; k++) sums[k] += variance[k];
+static inline void take_row(bool there, float *restrict variance, float *restrict sums, float *restrict part, int n) {
+  for (int k = 0; there && k < n; k++) sums[k] += variance[k];
+  if (part == NULL) return;
+  if (!there) memset(variance, 0, (size_t)n * sizeof *variance);
+  write_roots(part, variance, n);
 }
 
 static inline void finish(const struct numbers *restrict c, const float *restrict as_read, const float *restrict of_solved,
@@ -174,15 +181,8 @@ EXPORT int slope_budget(const float *gradients, const bool *at_rest, const float
                         const float *residual, const bool *unseen, const float *gain, const float *light, float *read,
                         float *solved, float *steep, float *whole, float *confidence, float *rows, const float *numbers,
                         ptrdiff_t h, ptrdiff_t w, ptrdiff_t parts, ptrdiff_t count) {
-  enum raised { READ, SOLVED, WHOLE };
-#define OF_ROW(name, raised) {variance_of_##name, raised},
-  static const struct {
-    bool (*variance)(float *restrict, const struct frame *, const struct piece *);
-    enum raised raised;
-  } row[] = {ROWS(OF_ROW)};
-  enum { COUNT = sizeof row / sizeof *row };
   struct numbers c;
-  if (count != NUMBER_COUNT || (rows != NULL && parts != 1 + COUNT)) return WRONG_SIZE;
+  if (count != NUMBER_COUNT || (rows != NULL && parts != 1 + ROW_COUNT)) return WRONG_SIZE;
   memcpy(&c, numbers, sizeof c);
   if (!(c.reach >= 1 && c.reach < (float)PTRDIFF_MAX / 4) || !(c.outlier > 0) || !(c.full > 0)) return WRONG_SIZE;
   const struct frame f = {&c, gradients, rest, of_step, of_model, residual, gain, light, at_rest, unseen, h, w};
@@ -193,13 +193,11 @@ EXPORT int slope_budget(const float *gradients, const bool *at_rest, const float
       float variance[PIECE], of_solved[PIECE] = {0}, of_whole[PIECE] = {0};
       variance_by_law(&p, &f);
       memcpy(p.read, p.law, sizeof p.law);
-      if (rows != NULL) write_roots(rows + p.at, p.law, p.n);
-      for (int i = 0; i < COUNT; i++) {
-        const bool there = row[i].variance(variance, &f, &p);
-        if (rows != NULL && !there) memset(variance, 0, sizeof variance);
-        if (rows != NULL) write_roots(rows + (1 + i) * h * w + p.at, variance, p.n);
-        if (there) add(row[i].raised == READ ? p.read : row[i].raised == SOLVED ? of_solved : of_whole, variance, p.n);
-      }
+      float *sums[] = {p.read, of_solved, of_whole}, *part = rows == NULL ? NULL : rows + p.at;
+      if (rows != NULL) write_roots(part, p.law, p.n);
+#define TAKE(name, raised) \
+  take_row(variance_of_##name(variance, &f, &p), variance, sums[raised], rows == NULL ? NULL : (part += h * w), p.n);
+      ROWS(TAKE)
       finish(&c, p.read, of_solved, of_whole, read + p.at, solved + p.at, steep + p.at, whole + p.at, confidence + p.at, p.n);
     }
   return OK;
