@@ -19,7 +19,7 @@ from gelform.depth.contact import PreparedContact, SlopeDeviations, Surround, of
 from gelform.depth.integrate import FrameDepth, Integration
 from gelform.depth.sigma import DepthErrors, DepthSigma, Purpose, contradicted_slopes, steep_finding
 from gelform.errors import Finding
-from gelform.foundations.checks import check_image
+from gelform.foundations.checks import check_image, value_range
 from gelform.foundations.pool import Pool, keep_freed_memory, once
 from gelform.image.agreement import (
     background_digest,
@@ -222,20 +222,19 @@ class FrameRecord:
         """All findings."""
         of_depth: tuple[Finding, ...] = ()
         if self.depth_errors is not None:
-            of_depth = (
-                *steep_finding(self.depth_mm, self.contact, self.budget.steep, self.depth_errors),
-                *self.today.contact.pressed_background(
-                    *self._touch("valley"), touched=bool(self.contact.any())
-                ),
-            )
+            of_depth = steep_finding(self.depth_mm, self.contact, self.budget.steep, self.depth_errors)
+            low, high = value_range(self.depth_mm)
+            if -low > high:
+                touched = bool(self.contact.any())
+                of_depth += self.today.contact.pressed_background(*self._touch("valley"), touched=touched)
             if not any(one.name == "background_pressed" for one in of_depth):
                 of_depth += off_rest(self.depth_mm, self.depth_sigma_mm, self.contact, self.known)
         elif self.fixed.known is None:
             slopes = self.slopes.gradients, self.gradients
             of_depth = contradicted_slopes(*slopes, self.depth_mm, self.contact)
-        touched = partial(self.today.untouched_image.touched, self.seen.image)
+        is_touched = partial(self.today.untouched_image.touched, self.seen.image)
         maps = self.contact, self.depth_mm, self.touch[1], self.slopes.at_rest, self.known
-        unknown = unknown_contact(*maps, touched, self.seen.hidden, self.fixed.pitch)
+        unknown = unknown_contact(*maps, is_touched, self.seen.hidden, self.fixed.pitch)
         return *self.findings, *of_depth, *unknown
 
     @property

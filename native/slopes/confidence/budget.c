@@ -16,6 +16,10 @@ enum { PIECE = 64 };  // pixels of a row at a time
   ROW(compression, READ) ROW(wall, READ) ROW(outlier, READ) ROW(light, READ) ROW(unseen, READ) ROW(unit, SOLVED)             \
   ROW(steep, WHOLE)
 
+enum { READ, SOLVED, WHOLE };
+#define ONE(name, raised) +1
+enum { ROW_COUNT = 0 ROWS(ONE) };
+
 #define FIELD(name) float name;
 struct numbers {
   NUMBERS(FIELD)
@@ -143,8 +147,22 @@ static inline void write_roots(float *restrict map, const float *restrict varian
   for (int k = 0; k < n; k++) map[k] = sqrtf(variance[k]);
 }
 
-static inline void add(float *restrict sums, const float *restrict variance, int n) {
-  for (int k = 0; k < n; k++) sums[k] += variance[k];
+static inline void take_row(bool there, float *restrict variance, float *restrict sums, float *restrict part, int n) {
+  for (int k = 0; there && k < n; k++) sums[k] += variance[k];
+  if (part == NULL) return;
+  if (!there) memset(variance, 0, (size_t)n * sizeof *variance);
+  write_roots(part, variance, n);
+}
+
+static inline void finish(const struct numbers *restrict c, const float *restrict as_read, const float *restrict of_solved,
+                          const float *restrict of_whole, float *restrict read, float *restrict solved, float *restrict steep,
+                          float *restrict whole, float *restrict confidence, int n) {
+  const float full = square_of(c->full), most = square_of(c->unknown), factor = square_of(c->solved_factor);
+  for (int k = 0; k < n; k++) {
+    const float all = smaller(factor * as_read[k], most) + of_solved[k];
+    read[k] = sqrtf(as_read[k]), solved[k] = sqrtf(all), steep[k] = sqrtf(of_whole[k]), whole[k] = sqrtf(all + of_whole[k]);
+    confidence[k] = smaller(full / (as_read[k] + of_solved[k] + of_whole[k]), 1);
+  }
 }
 
 // Writes, up to n letters, the names of `NUMBERS`, then "law" and those of `ROWS`, each behind a space; returns how many they are.
@@ -163,40 +181,24 @@ EXPORT int slope_budget(const float *gradients, const bool *at_rest, const float
                         const float *residual, const bool *unseen, const float *gain, const float *light, float *read,
                         float *solved, float *steep, float *whole, float *confidence, float *rows, const float *numbers,
                         ptrdiff_t h, ptrdiff_t w, ptrdiff_t parts, ptrdiff_t count) {
-  enum raised { READ, SOLVED, WHOLE };
-#define OF_ROW(name, raised) {variance_of_##name, raised},
-  static const struct {
-    bool (*variance)(float *restrict, const struct frame *, const struct piece *);
-    enum raised raised;
-  } row[] = {ROWS(OF_ROW)};
-  enum { COUNT = sizeof row / sizeof *row };
   struct numbers c;
-  if (count != NUMBER_COUNT || (rows != NULL && parts != 1 + COUNT)) return WRONG_SIZE;
+  if (count != NUMBER_COUNT || (rows != NULL && parts != 1 + ROW_COUNT)) return WRONG_SIZE;
   memcpy(&c, numbers, sizeof c);
   if (!(c.reach >= 1 && c.reach < (float)PTRDIFF_MAX / 4) || !(c.outlier > 0) || !(c.full > 0)) return WRONG_SIZE;
   const struct frame f = {&c, gradients, rest, of_step, of_model, residual, gain, light, at_rest, unseen, h, w};
-  const float full = square_of(c.full), most = square_of(c.unknown), factor = square_of(c.solved_factor);
+  struct piece p = {0};
   for (ptrdiff_t y = 0; y < h; y++)
     for (ptrdiff_t x = 0; x < w; x += PIECE) {
-      struct piece p = {.x = x, .y = y, .at = y * w + x, .n = w - x < PIECE ? (int)(w - x) : PIECE};
+      p.x = x, p.y = y, p.at = y * w + x, p.n = w - x < PIECE ? (int)(w - x) : PIECE;
       float variance[PIECE], of_solved[PIECE] = {0}, of_whole[PIECE] = {0};
       variance_by_law(&p, &f);
       memcpy(p.read, p.law, sizeof p.law);
-      if (rows != NULL) write_roots(rows + p.at, p.law, p.n);
-      for (int i = 0; i < COUNT; i++) {
-        const bool there = row[i].variance(variance, &f, &p);
-        if (rows != NULL && !there) memset(variance, 0, sizeof variance);
-        if (rows != NULL) write_roots(rows + (1 + i) * h * w + p.at, variance, p.n);
-        if (there) add(row[i].raised == READ ? p.read : row[i].raised == SOLVED ? of_solved : of_whole, variance, p.n);
-      }
-      for (int k = 0; k < p.n; k++) {
-        const float all = smaller(factor * p.read[k], most) + of_solved[k];
-        read[p.at + k] = sqrtf(p.read[k]);
-        solved[p.at + k] = sqrtf(all);
-        steep[p.at + k] = sqrtf(of_whole[k]);
-        whole[p.at + k] = sqrtf(all + of_whole[k]);
-        confidence[p.at + k] = smaller(full / (p.read[k] + of_solved[k] + of_whole[k]), 1);
-      }
+      float *sums[] = {p.read, of_solved, of_whole}, *part = rows == NULL ? NULL : rows + p.at;
+      if (rows != NULL) write_roots(part, p.law, p.n);
+#define TAKE(name, raised) \
+  take_row(variance_of_##name(variance, &f, &p), variance, sums[raised], rows == NULL ? NULL : (part += h * w), p.n);
+      ROWS(TAKE)
+      finish(&c, p.read, of_solved, of_whole, read + p.at, solved + p.at, steep + p.at, whole + p.at, confidence + p.at, p.n);
     }
   return OK;
 }

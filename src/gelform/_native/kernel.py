@@ -254,7 +254,8 @@ class Kernel:
             arguments += tuple(map(named.__getitem__, rest))
         if len(arguments) != len(self.parameters):
             raise TypeError(f"{self.name}: expected {len(self.parameters)} arguments, got {len(arguments)}.")
-        values, seen = list(arguments), []
+        values: list[Any] = list(arguments)
+        seen: list[tuple[int, ...] | None] = []
         try:
             for place, parameter in self._handles:
                 handle = arguments[place]
