@@ -21,7 +21,7 @@ from gelform.depth.sigma import DepthErrors, DepthSigma, Purpose, contradicted_s
 from gelform.errors import Finding
 from gelform.foundations.checks import check_image
 from gelform.foundations.pool import Pool, keep_freed_memory
-from gelform.image.agreement import background_digest, check_own_background, check_viewed_image
+from gelform.image.agreement import background_digest, check_own_background, check_viewed_image, touch_in
 from gelform.image.background import PreparedBackground, reference_from_color_change
 from gelform.image.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 from gelform.image.light import FrameLight
@@ -247,7 +247,7 @@ class FrameRecord:
         elif self.fixed.known is None:
             slopes = self.slopes.gradients, self.gradients
             of_depth = contradicted_slopes(*slopes, self.depth_mm, self.contact)
-        touched = partial(self.today.untouched_image.touched, self.seen.image)
+        touched = partial(touch_in, self.seen.image, self.today.untouched_image.background)
         maps = self.contact, self.depth_mm, self.touch[1], self.slopes.at_rest, self.known
         unknown = unknown_contact(*maps, touched, self.seen.hidden, self.fixed.pitch)
         return *self.findings, *of_depth, *unknown
@@ -344,14 +344,17 @@ class Reconstructor:
         whose = "the calibration's" if self.own_background else "a newer"
         return f"Reconstructor({self.calibration.sensor_name}, {height}x{width} px, {whose} background)"
 
-    def with_background(self, background: Map, usual: FrameLight | None = None) -> Reconstructor:
+    def with_background(
+        self, background: Map, usual: FrameLight | None = None, findings: tuple[Finding, ...] | None = None
+    ) -> Reconstructor:
         """The same Reconstructor for a newer background (H, W, 3), 0-255, of the same gel; nothing is checked.
 
         The markers keep their places; the rest is as if it had been made with this background, and takes as long as a
-        frame. `usual` is the light of the frames before, relative to this background.
+        frame. `usual` is the light of the frames before, relative to this background; `findings` are about it, or None.
         """
         today = FromBackground(self._calibrated, background, usual)
-        return self._with(background=background, own_background=False, _today=today)
+        found = self.findings if findings is None else self.calibration.findings + findings
+        return self._with(background=background, own_background=False, _today=today, findings=found)
 
     def _with(self, **attributes: Any) -> Reconstructor:
         other = object.__new__(type(self))
