@@ -25,6 +25,7 @@ from gelform.image.agreement import (
     background_digest,
     check_own_background,
     check_viewed_image,
+    touch_in,
     touched_finding,
 )
 from gelform.image.background import PreparedBackground, reference_from_color_change
@@ -232,7 +233,7 @@ class FrameRecord:
         elif self.fixed.known is None:
             slopes = self.slopes.gradients, self.gradients
             of_depth = contradicted_slopes(*slopes, self.depth_mm, self.contact)
-        is_touched = partial(self.today.untouched_image.touched, self.seen.image)
+        is_touched = partial(touch_in, self.seen.image, self.today.untouched_image.background)
         maps = self.contact, self.depth_mm, self.touch[1], self.slopes.at_rest, self.known
         unknown = unknown_contact(*maps, is_touched, self.seen.hidden, self.fixed.pitch)
         return *self.findings, *of_depth, *unknown
@@ -348,14 +349,17 @@ class Reconstructor:
         seen = f"is a contact{deep}{others}, compared with the calibration's"
         return (touched_finding(first.deepest_px, seen, first.deepest_mm or 0.0),)
 
-    def with_background(self, background: Map, usual: FrameLight | None = None) -> Reconstructor:
+    def with_background(
+        self, background: Map, usual: FrameLight | None = None, findings: tuple[Finding, ...] | None = None
+    ) -> Reconstructor:
         """The same Reconstructor for a newer background (H, W, 3), 0-255, of the same gel; nothing is checked.
 
         The markers keep their places; the rest is as if it had been made with this background, and takes as long as a
-        frame. `usual` is the light of the frames before, relative to this background.
+        frame. `usual` is the light of the frames before, relative to this background; `findings` are about it, or None.
         """
         today = FromBackground(self._calibrated, background, usual)
-        return self._with(background=background, own_background=False, _today=today)
+        found = self.findings if findings is None else self.calibration.findings + findings
+        return self._with(background=background, own_background=False, _today=today, findings=found)
 
     def _with(self, **attributes: Any) -> Reconstructor:
         other = object.__new__(type(self))

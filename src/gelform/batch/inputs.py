@@ -287,36 +287,21 @@ def image_of_calibration(frame: Frame, calibration: Calibration) -> NDArray[Any]
         raise DataError(str(problem)) from problem
 
 
-def background_of_film(part: Part, count: int, calibration: Calibration) -> NDArray[Any]:
-    """The average (H, W, 3) of the first readable frames of a part's film.
+def background_of_film(part: Part, count: int, calibration: Calibration | None = None) -> NDArray[Any]:
+    """The average (H, W, 3) of the first readable frames of a part's film; without a calibration, as the camera gave them.
 
     DataError if none is readable, one has another size, or they differ because something touches the gel.
     """
-    frames = _first_frames(part, count, calibration.most_pixels)
-    return _average([image_of_calibration(one, calibration) for one in frames])
-
-
-def frame_at_rest(listing: Listing, count: int) -> NDArray[Any]:
-    """The same of the first sequence's frames as the camera gave them."""
-    return _average([one.image for one in _first_frames(plan_of(listing, 1, count)[0], count)])
-
-
-def _first_frames(part: Part, count: int, most_pixels: float = MAX_PIXELS) -> list[Frame]:
     film = replace(part.film, images=part.first)
     beginning = replace(part, film=film, start=0, count=min(count, film.count), names=())
+    most_pixels = MAX_PIXELS if calibration is None else calibration.most_pixels
     first = [one for _, one in islice(frames_of_part(beginning, most_pixels), count)]
     frames = [one for one in first if isinstance(one, Frame)]
     if not frames:
         why = next((reason(one) for one in first if not isinstance(one, Frame)), "there is none.")
         raise DataError(f"No background: none of the first {count} frames can be read: {why}")
-    return frames
-
-
-def _average(images: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    try:
-        return background_from_frames(images).background
-    except DataError as problem:
-        raise DataError(f"No background from the first {len(images)} frames: {problem}") from problem
+    images = (one.image if calibration is None else image_of_calibration(one, calibration) for one in frames)
+    return background_from_frames(images).background
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,6 @@ from gelform.batch.inputs import (
     background_of_file,
     background_of_film,
     backgrounds_of,
-    frame_at_rest,
     frames_of_part,
     image_of_calibration,
     listing_of,
@@ -514,7 +513,8 @@ def run_batch(
     listing = replace(listing_of(source, leave_out=backgrounds.files, dataset=dataset), bgr=settings.bgr)
     check_apart(listing, output)
     if starter is not None and given is None:
-        given = _with_scale(starter(frame_at_rest(listing, settings.background_frames)))
+        count = settings.background_frames
+        given = _with_scale(starter(background_of_film(plan_of(listing, 1, count)[0], count)))
     calibration = given or _with_scale(_choose_calibration(listing, output, options.overwrite, chosen))
     names = [sequence.name for sequence in listing.sequences]
     check_names(names, settings)

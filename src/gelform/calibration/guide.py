@@ -45,8 +45,13 @@ from gelform.errors import CalibrationError, DataError, Finding, GelformError, P
 from gelform.exchange.exporters.press_folder import save_press_folder, toml_of_settings
 from gelform.foundations.checks import check_sensor_pitch
 from gelform.foundations.files import made_folder, picture_bytes, written_file
-from gelform.image.agreement import touch_in
-from gelform.image.background import USUAL_FRAMES, ChangeSettings, background_from_frames, surround_finding
+from gelform.image.background import (
+    USUAL_FRAMES,
+    Background,
+    ChangeSettings,
+    background_from_frames,
+    surround_finding,
+)
 from gelform.image.view import Frame, View, image_from_frame
 from gelform.sensors.files import SensorSettings
 from gelform.sensors.grabber import Grabber
@@ -64,6 +69,7 @@ class TakenPresses:
 
     def __init__(self, folder: Path, settings: SensorSettings, ball_diameter_mm: float) -> None:
         self.folder, self.ball_diameter_mm = folder, ball_diameter_mm
+        self._view, self._make = settings.view, settings.make
         self.count = 0
         self._rest: NDArray[np.float32] | None = None
         self._limit: NDArray[np.float64] | None = None  # gray levels, least difference of a touched pixel
@@ -74,14 +80,15 @@ class TakenPresses:
         self._write("sensor.toml", toml_of_settings(settings).encode())
         self._write_table()
 
-    def take_background(self, images: Sequence[NDArray[np.uint8]]) -> None:
-        """Keep images (H, W, 3) uint8 RGB of the gel at rest; a DataError if they disagree, because something moved."""
-        average = background_from_frames(images)
+    def take_background(self, frames: Sequence[NDArray[np.uint8]]) -> Background:
+        """Keep frames (H, W, 3) uint8 RGB of the gel at rest; what is doubted of them, and a DataError if they disagree."""
+        average = _at_rest([image_from_frame(one, self._view) for one in frames], self._make)
         self._rest = average.background
         self._limit = np.maximum(6.0 * np.asarray(average.noise), 4.0)
         (self.folder / "background").mkdir(exist_ok=True)
-        for k, image in enumerate(images):
-            self._write(f"background/{k:02d}.png", picture_bytes(image))
+        for k, frame in enumerate(frames):
+            self._write(f"background/{k:02d}.png", picture_bytes(frame))
+        return average
 
     def take_press(self, image: NDArray[np.uint8]) -> str:
         """Keep an image (H, W, 3) uint8 RGB of a press, and return its name in the folder.
@@ -90,7 +97,8 @@ class TakenPresses:
         """
         if self._rest is None:
             raise DataError("Expected the background before the presses.")
-        if (np.abs(image - self._rest) > self._limit).any(axis=-1).mean() < 0.002:  # of the pixels
+        change = np.abs(image_from_frame(image, self._view) - self._rest)
+        if (change > self._limit).any(axis=-1).mean() < 0.002:  # of the pixels
             raise DataError("Nothing is pressed: the image shows the gel at rest.")
         name = f"images/{self.count:04d}.png"
         self._write(name, picture_bytes(image))
@@ -116,6 +124,11 @@ class TakenPresses:
         """Write a file so that it is complete, or the previous one."""
         with written_file(self.folder / name, overwrite=True) as handle:
             handle.write(content)
+
+
+def _at_rest(images: Sequence[NDArray[np.uint8]], make: str) -> Background:
+    """The background of images (H, W, 3) of a make, whose light is known to be smooth if it has a starter."""
+    return background_from_frames(images, smooth=starter_for(make, images[0].shape[:2]) is not None)
 
 
 def settings_of(
@@ -516,20 +529,17 @@ class Guide:
         if len(self._untouched) < USUAL_FRAMES:
             return
         try:
-            taken = background_from_frames(self._untouched)
+            taken = _at_rest(self._untouched, self.settings.make)
         except GelformError as problem:
-            self._untouched, self.hint = [], f"{problem} Touch nothing: the page tries again."
-            return
-        starter = starter_for(self.settings.make, taken.background.shape[:2])
-        if starter is not None and self._refusals < 5:  # some seconds; then the gel is damaged
+            doubt = str(problem)
+        else:
+            doubt = (
+                taken.touch.message if taken.touch and self._refusals < 5 else ""
+            )  # then the gel is damaged
             self._refusals += 1
-            if touch := touch_in(taken.background):
-                said = touch.finding("smooth light").message
-                self._untouched, self.hint = (
-                    [],
-                    f"{said} Touch nothing: the page tries again.",
-                )
-                return
+        if doubt:
+            self._untouched, self.hint = [], f"{doubt} Touch nothing: the page tries again."
+            return
         self._background, self._noise = np.rint(taken.background).astype(np.float32), taken.noise
         self._surround = surround_finding(
             self._background,

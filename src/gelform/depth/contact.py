@@ -164,7 +164,7 @@ def unknown_contact(
     sigma: Map | None,
     at_rest: Mask,
     known: Mask,
-    is_touched: Callable[[], bool],
+    is_touched: Callable[[], object],
     hidden: Mask | None = None,
     pitch: float = 1.0,
 ) -> tuple[Finding, ...]:

@@ -160,7 +160,7 @@ class SuspectedTouch(NamedTuple):
     energy: float  # RMS of the image's logarithm there, between the scales of noise and of light
     ratio: float  # energy over the image's median
 
-    def finding(self, what: str) -> Finding:
+    def finding(self, what: str = "smooth light") -> Finding:
         """The finding `background_touched` about a background image; `what` it was compared with."""
         seen = f"it has {self.ratio:.1f} times as much structure as elsewhere, compared with {what}"
         return touched_finding((self.x_px, self.y_px), seen, self.ratio)
@@ -302,7 +302,7 @@ def check_own_background(background: Array, calibrated: Array) -> tuple[Finding,
     compared(today, untouched, own=True)
     gain = gain_from_blocks(today, untouched)
     differs = gain.middle_pattern
-    findings = list(_exposure_findings(gain))
+    findings = list(_exposure_findings(gain, "the calibration's", remedy=""))
     if touch := touch_in(background, calibrated):
         findings.append(touch.finding("the calibration's"))
     if PATTERN_WARN < differs < inf:
@@ -459,7 +459,9 @@ def _sure(values: Numbers, variances: Numbers, least: float) -> float:
     return float(values[at]) if over[at] > least else 0.0
 
 
-def _exposure_findings(light: FrameLight) -> tuple[Finding, ...]:
+def _exposure_findings(
+    light: FrameLight, whose: str = "the background's", remedy: str = " Take a new background."
+) -> tuple[Finding, ...]:
     if not light.share:
         message = "gelform cannot compare the exposure: every part of the image is too dark in some channel, or saturated."
         return (Finding("exposure_unknown", message, 0.0),)
@@ -473,11 +475,11 @@ def _exposure_findings(light: FrameLight) -> tuple[Finding, ...]:
     gains = light.gain.tolist()
     largest = max(gains, key=lambda one: abs(log(one)))
     if min(gains) < RATIO_WARN[0] or max(gains) > RATIO_WARN[1]:
-        message = f"Pixels at rest are {_times(light.gain)} times as bright as in the background. Take a new background."
+        message = f"Pixels at rest are {_times(light.gain)} times as bright as {whose}.{remedy}"
         return (Finding("background_ratio", message, largest),)
     if abs(largest - 1) > GAIN_REPORTED:
         percents = ", ".join(f"{name} {100 * (one - 1):+.0f} %" for name, one in zip("RGB", gains))
-        message = f"The exposure differs from the background's by {percents}. gelform compensates it."
+        message = f"The exposure differs from {whose} by {percents}. gelform compensates it."
         return (Finding("exposure", message, largest),)
     return ()
 

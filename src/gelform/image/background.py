@@ -32,7 +32,7 @@ from gelform.foundations.filters import (
     medians_where,
 )
 from gelform.foundations.information import check_condition
-from gelform.image.agreement import compared, touch_in
+from gelform.image.agreement import check_own_background, compared, touch_in
 from gelform.image.light import FrameLight, block_means, scale_of_light, without_light
 from gelform.image.view import DARK
 
@@ -158,10 +158,6 @@ class PreparedBackground:
         """
         return compared(block_means(image), self._blocks, self._usual)
 
-    def touched(self, image: Array) -> bool:
-        """Whether something seems to touch the gel in an image (H, W, 3)."""
-        return touch_in(image, self.background) is not None
-
     def bridged(self, image: Array, hidden: Mask) -> Array:
         """The image (H, W, 3) with hidden pixels (H, W), such as markers, filled by the color change around them.
 
@@ -252,6 +248,7 @@ def image_from_color_change(
 
 
 USUAL_FRAMES = 15  # frames at rest that are averaged where they come by themselves
+MAX_BYTES = 192 * MIB  # of frames that are held at once
 # Fraction of the brightness: a touched block, or a frame of another exposure, differs by more.
 OTHER_LEVEL = 0.03
 
@@ -262,10 +259,21 @@ class Background(NamedTuple):
     background: Map  # (H, W, 3) float32, 0-255
     noise: Numbers  # (3,) float64, standard deviation of a pixel in one frame, gray levels
     left_out: tuple[tuple[str, str], ...]  # (name, why) of each frame that is not in the average
+    findings: tuple[Finding, ...]  # what is doubted of the average
+
+    @property
+    def touch(self) -> Finding | None:
+        """The finding that something seems to touch the gel."""
+        return next((one for one in self.findings if one.name == "background_touched"), None)
 
 
 def background_from_frames(
-    frames: Iterable[ArrayLike], *, names: Sequence[str] | None = None, max_bytes: int = 192 * MIB
+    frames: Iterable[ArrayLike],
+    *,
+    untouched: ArrayLike | None = None,
+    smooth: bool = False,
+    names: Sequence[str] | None = None,
+    max_bytes: int = MAX_BYTES,
 ) -> Background:
     """A robust average of frames of the gel at rest.
 
@@ -276,13 +284,16 @@ def background_from_frames(
     Parameters
     ----------
     frames : (H, W, 3) each, RGB, 0-255; taken one at a time
+    untouched : (H, W, 3), 0-255, a background of the same sensor, such as the calibration's; touch, exposure and pattern of
+        the average are compared with it. Without one, and without `smooth`, only the frames are compared with each other
+    smooth : whether the light on such a gel is known to be smooth, as of makes with a starter; structure is a touch then
     names : names of the frames in messages; "frame 0", "frame 1", ... by default
     max_bytes : of frames that are held at once; beyond that, evenly spaced frames are kept
 
     Returns
     -------
     Background
-        (background, noise, left_out). The noise of a single frame is estimated from second differences along rows.
+        (background, noise, left_out, findings). The noise of a single frame is estimated from second differences along rows.
 
     Raises
     ------
@@ -290,6 +301,8 @@ def background_from_frames(
         No frame, or fewer than half agree with the median of all; then none is surely at rest.
     ValueError, TypeError
         A frame that is no RGB image, or of another size than the first.
+    CalibrationError
+        The average is clearly not of the sensor of `untouched`.
     """
     kept = _kept(frames, None if names is None else check_list(names, "names", str), max_bytes)
     if not kept:
@@ -303,7 +316,14 @@ def background_from_frames(
             f"the median of all ({listed}). Take them again with nothing on the gel and the exposure fixed."
         )
     average, noise = trimmed_mean(good)
-    return Background(average, noise, tuple(left_out.items()))
+    findings: tuple[Finding, ...] = ()
+    if untouched is not None:
+        findings = check_own_background(
+            average, check_image(untouched, shape=average.shape[:2], name="untouched")
+        )
+    elif smooth and (touch := touch_in(average)):
+        findings = (touch.finding(),)
+    return Background(average, noise, tuple(left_out.items()), findings)
 
 
 def noise_from_image(image: Array) -> Numbers:

@@ -20,7 +20,6 @@ from gelform.calibration.library import (
     unit_of_camera,
 )
 from gelform.errors import Progress, counted
-from gelform.image.agreement import touch_in
 from gelform.image.background import USUAL_FRAMES
 from gelform.live.hub import GuideSession, Hub, starter_of_station
 from gelform.live.lists import Calibrations, Recordings, shown_name
@@ -55,12 +54,11 @@ def take_background(hub: Hub, station: Station) -> None:
         take_starter(hub, station, calibration.settings.starter["sensor"])
         return
     frames = _frames_at_rest(station)
-    taken = background_from_frames([one.image for one in frames])
+    taken = background_from_frames([one.image for one in frames], untouched=calibration.background)
     # Whole gray levels, so that the background in a recording is exactly the image in use.
     rest = np.rint(taken.background).astype(np.float32)
     station.setup = station.setup.taking(calibration, station.setup.name, rest)
-    touch = touch_in(taken.background, calibration.background)
-    doubt = "" if touch is None else f" {touch.finding('the calibration').message} Undo goes back."
+    doubt = "" if taken.touch is None else f" {taken.touch.message} Undo goes back."
     hub.notice(_taken_from(len(frames) - len(taken.left_out)) + doubt)
 
 

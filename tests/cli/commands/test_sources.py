@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gelform.calibration.guide import TakenPresses
 from gelform.calibration.presses.folder import read_presses
 from gelform.calibration.starters import load_starter
 from gelform.calibration_file import load_calibration
@@ -24,7 +25,7 @@ from gelform.cli.commands.sources import _at_rest, single_keys
 from gelform.image.view import image_from_frame
 from gelform.sensors import cameras as camera
 from gelform.sensors.cameras import Camera
-from gelform.sensors.files import SensorSettings, read_image, read_sensor_toml
+from gelform.sensors.files import SensorSettings, read_background, read_image, read_sensor_toml
 from gelform.sensors.films import open_film
 from gelform.sensors.grabber import Grabber
 from gelform.sensors.mcap import end_missing
@@ -201,30 +202,41 @@ def test_no_terminal_is_said_and_no_file_is_left(fails, monkeypatch, tmp_path):
     assert not (tmp_path / "r").exists()
 
 
-def test_a_background_that_something_touches_is_refused_once_and_a_dark_surround_is_named(
-    capsys, monkeypatch
+def test_a_background_is_taken_again_if_it_is_touched_or_moves_and_a_dark_surround_is_named(
+    capsys, monkeypatch, tmp_path
 ):
-    """Of a make with a starter; the second space bar takes what is there."""
+    """Touched once, of a make with a starter: the second space bar takes what is there; frames that move never."""
     known = {"simulated-three-edges": load_starter("simulated-three-edges")}
-    monkeypatch.setattr("gelform.calibration.starters.starter_for", lambda name, _: known.get(name))
+    monkeypatch.setattr("gelform.calibration.guide.starter_for", lambda make, _: known.get(make))
     layout, rng = LAYOUTS["three-edges"], np.random.default_rng(2)
     touched = np.asarray(simulate_press(layout, Ball(2.5), depth_mm=0.5, rng=rng).image)
     rest = np.asarray(simulate_background(layout, rng))
     framed = np.pad(rest, ((0, 0), (40, 0), (0, 0)), constant_values=2)
-    settings = SensorSettings("simulated-three-edges", layout.mm_per_px)
-    for name, first, keys, taken, said in (
-        ("simulated-three-edges", touched, " ", touched, "Something seems to touch the gel"),
-        ("simulated-three-edges", touched, "q", None, "Something seems to touch the gel"),
-        ("simulated-three-edges", rest, "", rest, "^$"),
-        ("another", touched, "", touched, "^$"),
-        ("another", framed, "", framed, r"outside the gel.* --crop 4\d,0,\d+,\d+"),
+    moving = [np.roll(touched, 20 * k, axis=1) for k in range(4)]
+    settings = SensorSettings("small", layout.mm_per_px)
+    for make, first, keys, taken, said in (
+        ("simulated-three-edges", [touched], "  ", touched, "Something seems to touch the gel"),
+        ("simulated-three-edges", [touched], " q", None, "Something seems to touch the gel"),
+        ("simulated-three-edges", [rest], " ", rest, "^$"),
+        ("another", [touched], " ", touched, "^$"),
+        ("another", [framed], " ", framed, r"outside the gel.* --crop 4\d,0,\d+,\d+"),
+        (
+            "another",
+            moving,
+            "  q",
+            None,
+            "Not taken. Expected frames .* that agree, .* space bar again. Not taken",
+        ),
     ):
-        source = ImageSource([first], rate_hz=100)
+        source, keyboard = ImageSource(first, rate_hz=100), iter(keys)
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        presses = TakenPresses(folder, replace(settings, make=make), 6.0)
         with Grabber(lambda source=source: source) as grabber:
-            keyboard = iter(keys)
-            images = _at_rest(grabber, lambda keyboard=keyboard: next(keyboard), replace(settings, name=name))
-        assert len(images) == (0 if taken is None else 10)
-        assert all((image == taken).all() for image in images)
+            at_rest = _at_rest(grabber, lambda keyboard=keyboard: next(keyboard), presses, viewed=False)
+        assert at_rest == (taken is not None)
+        assert not list(keyboard)
+        if at_rest:
+            np.testing.assert_array_equal(read_background(folder / "background"), taken)
         assert re.search(said, " ".join(capsys.readouterr().err.split()))
 
 

@@ -127,7 +127,7 @@ def check_light(background: Array, light: Numbers, make: str) -> tuple[Finding, 
         message = "The gel has markers, so gelform cannot tell whether something touches it in the background image."
         findings.append(Finding("background_unchecked", message, 1.0))
     elif touch := touch_in(background):
-        findings.append(touch.finding("smooth light"))
+        findings.append(touch.finding())
     return tuple(findings)
 
 

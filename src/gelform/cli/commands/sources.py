@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from gelform.sensors.record import RecordStats
 
 MEASURED_S, FIRST_S = 1.0, 3.0  # s: time in which frames are counted; longest wait for the first frame
-BACKGROUND_FRAMES, FRESH_S = 10, 5.0  # frames to average; s within which a frame must arrive
+FRESH_S = 5.0  # s within which a frame must arrive
 
 
 @contextmanager
@@ -246,8 +246,7 @@ def _presses(opened: Any, output: Path, wanted: PressesTaken, shown: ShownOption
         settings = _sensor_settings(grabber, wanted)
         taken = TakenPresses(output, settings, wanted.ball_diameter_mm)
         shown.say("Touch nothing and press the space bar to take the background image. q ends.")
-        if _space(key) and (rest := _at_rest(grabber, key, settings)):
-            taken.take_background(rest)
+        if _at_rest(grabber, key, taken, viewed=not settings.view.is_identity):
             say(
                 "Press the ball, hold it still and press the space bar. Repeat elsewhere. u removes the last press, q ends."
             )
@@ -276,22 +275,24 @@ def _space(key: Callable[[], str]) -> bool:
     return pressed == " "
 
 
-def _at_rest(grabber: gelform.Grabber, key: Callable[[], str], settings: Any) -> list[Any]:
-    """Frames of the gel at rest; if something seems to touch it, those of the next space bar, [] without one."""
-    from gelform.calibration.starters import starter_for
-    from gelform.image.agreement import touch_in
-    from gelform.image.background import surround_finding
+def _at_rest(grabber: gelform.Grabber, key: Callable[[], str], taken: Any, viewed: bool) -> bool:
+    """Take the gel at rest at a space bar, and at another if frames disagree or, once, seem touched; False at q."""
+    from gelform.image.background import USUAL_FRAMES, surround_finding
 
-    images = _fresh(grabber, BACKGROUND_FRAMES)
-    rest = gelform.background_from_frames(images).background
-    image = gelform.image_from_frame(rest, settings.view)
-    if finding := surround_finding(image, "--crop {}", viewed=not settings.view.is_identity):
-        say(f"note: {finding.message}")
-    if starter_for(settings.name, image.shape[:2]) is not None and (touch := touch_in(image)):
-        said = touch.finding("smooth light").message
-        say(f"Not taken. {said} Press the space bar again; it is taken then.")
-        return _fresh(grabber, BACKGROUND_FRAMES) if _space(key) else []
-    return images
+    again = False
+    while _space(key):
+        try:
+            rest = taken.take_background(_fresh(grabber, USUAL_FRAMES))
+        except DataError as problem:
+            say(f"Not taken. {problem} Press the space bar again.")
+            continue
+        if rest.touch is None or again:
+            if finding := surround_finding(rest.background, "--crop {}", viewed=viewed):
+                say(f"note: {finding.message}")
+            return True
+        again = True
+        say(f"Not taken. {rest.touch.message} Press the space bar again; it is taken then.")
+    return False
 
 
 def _fresh(grabber: gelform.Grabber, count: int) -> list[Any]:

@@ -150,16 +150,16 @@ class Memory:
         self._smoothing = None if smoothing is None else Smoothing(smoothing)
 
     def take_background(self) -> None:
-        """Take the mean of the next second as background, because nothing touches now. May be called from any thread.
+        """Take the next frames as background, because nothing touches now. May be called from any thread.
 
-        If something touches the gel, the background stays, and results have the finding `background_refused`.
+        If something touches the gel, or the frames disagree, it stays, and results have the finding `background_refused`.
         """
         self._drift.asked = True
 
     @property
     def background_request(self) -> tuple[bool, tuple[Finding, ...]]:
         """Whether the last request for a background is not decided yet; what was found in the one before it."""
-        return self._drift.taking, self._drift.refused
+        return self._drift.taking, self._drift.doubts
 
     def image_from_frame(self, frame: Frame) -> Array:
         """The calibration's view of a frame; ValueError if the frame has another size."""
@@ -209,7 +209,7 @@ class Memory:
     def remembered(self, image: Array, result: Reconstruction) -> Reconstruction:
         """The result with the findings and the smoothing of the sequence."""
         frozen = self._frozen(image, result.time_s or 0.0)
-        standing = (*self.standing(), *self._light, *self._drift.refused, *self._examined_findings)
+        standing = (*self.standing(), *self._light, *self._drift.doubts, *self._examined_findings)
 
         def health() -> tuple[Finding, ...]:
             own = {finding.name for finding in result.health}
@@ -237,7 +237,8 @@ class Memory:
             return
         background = self._drift(image, result)
         if background is not None:
-            self.reconstruct = self.reconstruct.with_background(background, self._drift.usual)
+            newer = background, self._drift.usual, self._drift.findings
+            self.reconstruct = self.reconstruct.with_background(*newer)
             self._light = light_findings(self._drift.gains)
         if self._drift.evidence is not self._examined:
             self._examined = self._drift.evidence

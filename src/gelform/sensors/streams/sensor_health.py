@@ -19,11 +19,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gelform import Calibration, Grabber, Reconstruction
+from gelform import Calibration, DataError, GelformError, Grabber, Reconstruction, background_from_frames
 from gelform.arrays import Array, Map, Mask, Numbers
 from gelform.errors import Finding
 from gelform.foundations.filters import robust_sigma
-from gelform.image.agreement import room_light_finding, touch_in
+from gelform.image.agreement import room_light_finding
+from gelform.image.background import USUAL_FRAMES
 from gelform.image.light import FrameLight, block_means, light_at_rest, light_from_blocks, lit, without_light
 from gelform.image.registration import PreparedRegistration
 from gelform.image.view import PIXEL_VARIANCE
@@ -77,8 +78,9 @@ class BackgroundDrift:
     def __init__(self, background: Map, calibrated: Map | None = None) -> None:
         self.start = background
         self._calibrated = background if calibrated is None else calibrated
-        # Whether something seems to touch the gel in the background that was asked for last; whether it was taken.
-        self.refused: tuple[Finding, ...] = ()
+        # What is doubted of the background that was asked for last, and whether it was taken; of the last that was taken.
+        self.doubts: tuple[Finding, ...] = ()
+        self.findings: tuple[Finding, ...] | None = None
         self._local = background.astype(np.float32)
         self._local_blocks = block_means(self._local)
         self.light = np.zeros((3, 4))  # the followed light relative to the start, as in `lit`
@@ -88,8 +90,8 @@ class BackgroundDrift:
         self._mean: Map | None = None
         self._waiting: deque[MeanImage] = deque()
         self._last_s: float | None = None
-        # Set to take the mean of the next second as background, from any thread, because nothing touches now.
-        self.asked = self._taking = False
+        # Set to take the next frames, of a second at most, as background, from any thread, because nothing touches now.
+        self.asked = self._taking = self._touch_refused = False
         self._contact_long = np.zeros(background.shape[:2], dtype=bool)
         self.evidence: DriftEvidence | None = None  # of the last complete ten seconds
         self._start_anew(0.0)
@@ -129,6 +131,8 @@ class BackgroundDrift:
         if names & DIFFERENT:
             self._contact |= True
             self._different += 1
+        if self._taking and len(self._at_rest) < USUAL_FRAMES:
+            self._at_rest.append(image)
         if time_s - self._step_s < STEP_S:
             return None
         if not self._taking:
@@ -138,23 +142,23 @@ class BackgroundDrift:
         return taken
 
     def _taken(self, time_s: float) -> Map | None:
-        """Start again from the mean of the frames since the request; None if something seems to touch the gel in it.
+        """Start again from the frames since the request; None if something seems to touch the gel in them, or they disagree.
 
-        A second request in a row takes it all the same.
+        A second request in a row takes a touched one all the same.
         """
-        mean = self._sum / np.float32(self._sum_count)
-        touch = touch_in(mean, self._calibrated)
-        again, self.refused = any(one.name == REFUSED for one in self.refused), ()
-        if touch is not None:
-            found = touch.finding("the calibration's")
-            if not again:
-                message = f"The background was not taken. {found.message} Or ask once more: then it is taken as it is."
-                found = Finding(REFUSED, message, touch.ratio)
-            self.refused = (found,)
-            if not again:
-                self._start_anew(time_s)
-                return None
-        self.start = self._local = mean
+        figure = 1.0
+        try:
+            taken = background_from_frames(self._at_rest, untouched=self._calibrated)
+            self._touch_refused = taken.touch is not None and not self._touch_refused
+            if taken.touch is not None and self._touch_refused:
+                figure = taken.touch.figure
+                raise DataError(f"{taken.touch.message} Or ask once more: then it is taken as it is.")
+        except GelformError as problem:
+            self.doubts = (Finding(REFUSED, f"The background was not taken. {problem}", figure),)
+            self._start_anew(time_s)
+            return None
+        self.doubts = self.findings = taken.findings
+        self.start = self._local = taken.background
         self._local_blocks = block_means(self._local)
         self.light, self.usual = np.zeros((3, 4)), None
         self.touched.everywhere(-np.inf)
@@ -170,6 +174,7 @@ class BackgroundDrift:
     def _start_anew(self, time_s: float) -> None:
         """Start a new step and a new mean image."""
         self._step_s = self._mean_image_s = time_s
+        self._at_rest: list[Array] = []  # frames of a background that was asked for
         self._blocks = np.zeros_like(self._local_blocks)
         self._contact = np.zeros(self._local.shape[:2], dtype=bool)
         self._sum = np.zeros_like(self._local)

@@ -26,12 +26,11 @@ from gelform import (
     background_from_frames,
     image_from_frame,
 )
-from gelform.arrays import MIB, Array, Map
+from gelform.arrays import Array, Map
 from gelform.calibration.library import NoCalibration, choose_calibration, unit_of
 from gelform.calibration.starters import Starter, load_starter, starter_names, starter_of_source
 from gelform.errors import Finding
-from gelform.image.agreement import touch_in
-from gelform.image.background import USUAL_FRAMES
+from gelform.image.background import MAX_BYTES, USUAL_FRAMES
 from gelform.image.light import block_means
 from gelform.sensors.grabber import Shared
 from gelform.sensors.playback import Closing
@@ -42,8 +41,7 @@ from gelform.sensors.streams.sensor_health import camera_findings
 
 STEADY_S = 1.0  # s without motion; a hand that presses cannot keep as still
 LEAST = 3  # frames of that second; fewer cannot agree
-# Limits of the frames, and of their bytes, that are read of a recording before the first one is given out.
-HELD, MAX_BYTES = 50, 192 * MIB
+HELD = 50  # frames at most that are read of a recording before the first one is given out
 KEPT = 8  # results whose images stay available to `image_of`
 TOUCH_NOTHING = "Touch nothing: the starter's calibration needs the gel at rest."
 
@@ -83,11 +81,12 @@ class UntouchedImage:
         for one in sorted(stretches, key=len, reverse=True):
             chosen = images[one.start : one.stop : max(1, len(one) // USUAL_FRAMES)]
             try:
-                means.append(background_from_frames(chosen).background)
+                taken = background_from_frames(chosen, smooth=True)
             except DataError:  # most of its frames differ
                 continue
-            if touch_in(means[-1]) is None:
-                return means[-1]
+            if taken.touch is None:
+                return taken.background
+            means.append(taken.background)
         if means:
             return means[0]
         said = f"no {LEAST} of {len(images)} frames follow each other without a change"
@@ -435,9 +434,9 @@ class Stream(Closing):
         return self._memory.reconstruct.calibration
 
     def take_background(self, timeout_s: float = 0.0) -> tuple[Finding, ...]:
-        """Take the mean of the next second as background image, because nothing touches the gel.
+        """Take the next frames (15, or those of a second) as background image, because nothing touches the gel.
 
-        If something does, the background stays, and results have the finding `background_refused`.
+        If something does, or they disagree, the background stays, and results have the finding `background_refused`.
 
         Parameters
         ----------
