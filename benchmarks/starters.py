@@ -12,7 +12,6 @@ here.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from gelform.calibration.circles.locate import locate
 from gelform.calibration.inputs import MOST_SIGMAS, ball_readings
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.report import report_content
-from gelform.calibration.selection import Fold, fit, fit_all, make_folds, refined_alone
 from gelform.calibration.start import start_from
 from gelform.calibration.starters import Starter, load_starter, starter_from_calibration
 from gelform.errors import CalibrationError
@@ -38,7 +36,7 @@ SIZES = (3, 5, 8, 12, 20, 33)
 FACTORS = (0.5, 0.8, 1.0, 1.2, 1.25, 2.0)
 SETS = ("mini-ball", "mini-d", "digit-ball", "gelslim", "gelslim-dots", "gelsight-ball-deep")
 PAIRS = {"digit-c": "digit-ball", "digit-ball": "digit-c", "mini-d": "mini-ball", "mini-ball": "mini-d"}
-FEW, TEST = (5, 7, 9), 10  # presses that calibrate, and at most so many others that judge
+FEW, TEST = (5, 7, 9, 3, 8), 10  # presses that calibrate, and at most so many others that judge
 SHARES = ("within_sigma_percent", "within_2_sigma_percent", "sure_inner_percent", "off_stated_um")
 SHOWN = (*KEYS, *SHARES)
 UNSEEN = 11  # number of a simulated unit outside the starter
@@ -142,7 +140,7 @@ def _drawn(
 
 
 def few(draws: int = 4) -> dict[str, Any]:
-    """5 and 7 presses of four units, with the other unit of the make as a start: each fit, and the average that is kept."""
+    """Few presses of four units, with the other unit of the make as a start."""
     found: dict[str, Any] = {}
     for name, other in PAIRS.items():
         known, first = (labeled(real_unit(one)) for one in (name, other))
@@ -152,39 +150,19 @@ def few(draws: int = 4) -> dict[str, Any]:
         starter = starter_from_calibration(own, shipped.sensor, units=(other,), **stated)
         unit, rng = unit_of(starter, known.background, known.mm_per_px), np.random.default_rng(0)
         for size in FEW:
-            rows: dict[str, list[dict[str, float]]] = {}
+            rows = []
             for _ in range(draws):
                 order = rng.permutation(len(known.presses)).tolist()
-                training, test = unlabeled(known, order[:size]), known.subset(order[size:][-TEST:])
-                for kind, one in _fits(training, unit).items():
-                    rows.setdefault(kind, []).append(judged(one, test, EDGES.get(name, EDGES["digit-ball"])))
-            kinds = {
-                k: {key: float(np.mean([r[key] for r in of])) for key in SHOWN} for k, of in rows.items()
+                test = known.subset(order[size:][-TEST:])
+                made = gelform.calibrate(unlabeled(known, order[:size]), start=unit)
+                rows.append(judged(made, test, EDGES.get(name, EDGES["digit-ball"])))
+            found[f"{name} from {other}, {size} presses"] = {
+                key: float(np.mean([row[key] for row in rows])) for key in SHOWN
             }
-            found[f"{name} from {other}, {size} presses"] = kinds
-            print(
-                table([f"{name} from {other}, {size}", *SHOWN], [[k, *v.values()] for k, v in kinds.items()]),
-                flush=True,
-            )
+        print(
+            table([f"few presses, {name}", *SHOWN], [[n, *(v[k] for k in SHOWN)] for n, v in found.items()])
+        )
     return {**found, "draws": draws}
-
-
-def _fits(presses: Presses, unit: gelform.Calibration) -> dict[str, gelform.Calibration]:
-    """The calibration of few presses with a start, and what its color model and response would be of one fit alone."""
-    made = gelform.calibrate(presses, start=unit)
-    located = locate(presses, start_from(unit, presses, "auto"))
-    fitted = fit(located, make_folds(located), "auto")
-    prepared, untouched = fitted.held_out.prepared_for(fitted.selection.chosen)
-    own, how = presses.subset(located.refined.accepted), located.refined.of_accepted(prepared)
-    whole = refined_alone(located, Fold((), tuple(located.refined.accepted), tuple(how[1])))
-    found = {"average": made}
-    for kind, (_, part) in zip(("started", "alone"), fitted.selection.chosen.parts):
-        one = fit_all(own, *how, part, untouched, ([prepared[i] for i in whole.training], whole.contacts))
-        assert one.forward is not None
-        assert made.forward is not None
-        forward = replace(one.forward, residual_scale=made.forward.residual_scale)
-        found[kind] = replace(made, color_model=one.color_model, forward=forward)
-    return found
 
 
 def balls() -> dict[str, Any]:

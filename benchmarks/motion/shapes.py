@@ -48,7 +48,7 @@ def balls(quick: bool) -> dict[str, Any]:
 
 
 def starters(quick: bool) -> dict[str, Any]:
-    """Two DIGITs, each by a starter that is made of the other: the center of a ball whose slopes are read wrong."""
+    """Two DIGITs, each by a starter that is made of the other, and by five presses with it as a start: a ball's center."""
     folders = {name: gelform.read_presses(DATA / name) for name in ("digit-ball", "digit-c")}
     made = {name: gelform.calibrate(presses, start=None) for name, presses in folders.items()}
     truth = {name: with_circles(presses, made[name]) for name, presses in folders.items()}
@@ -63,9 +63,15 @@ def starters(quick: bool) -> dict[str, Any]:
         )
         presses = truth[name]
         assert presses.background is not None
-        pairs = BallPairs(presses, PAIRS * (4 if quick else 1), np.random.default_rng(0))
-        pairs.add(starter.for_unit(presses.background, mm_per_px=presses.mm_per_px), presses)
-        found[name] = pairs.figures()
+        unit = starter.for_unit(presses.background, mm_per_px=presses.mm_per_px)
+        count = len(presses.presses)
+        some = range(0, count, -(-count // 5))
+        few = gelform.calibrate(unlabeled(presses, some), start=unit)
+        others = presses.subset([i for i in range(count) if i not in some])
+        for said, made_of, judged in ((name, unit, presses), (f"{name}, {len(some)} presses", few, others)):
+            pairs = BallPairs(presses, PAIRS * (4 if quick else 1), np.random.default_rng(0))
+            pairs.add(made_of, judged)
+            found[said] = pairs.figures()
     return found
 
 

@@ -221,7 +221,7 @@ def test_a_second_unit_needs_five_presses(calibration, sensor, tmp_path):
     """Its lights stand up to 3 mm elsewhere and are up to 30 % brighter or dimmer.
 
     Started from the first unit's, it comes near its own full calibration, and is better than five alone. Errors are counted
-    inside one edge, the first unit's, which five presses take over.
+    inside one edge, the first unit's, which five presses take over with the length of its gel.
     """
     rng = np.random.default_rng(5)
     leds = tuple(
@@ -245,12 +245,16 @@ def test_a_second_unit_needs_five_presses(calibration, sensor, tmp_path):
         return gelform.read_presses(tmp_path / name)
 
     five, many, test = presses_of(5, 3, "five"), presses_of(12, 2, "many"), presses_of(4, 4, "test")
+    longer_mm = 1.2 * calibration.settings.relaxation_mm
+    calibration = replace(calibration, settings={**calibration.settings, "relaxation_mm": longer_mm})
     calibration.save(tmp_path / "first.npz")
     started = gelform.calibrate(str(tmp_path / "five"), start=tmp_path / "first.npz")  # paths are read
     full = gelform.calibrate(many, color_model="hierarchical")
     alone = gelform.calibrate(five, color_model="hierarchical")
     edge = {"contact_radius_ratio": calibration.settings["contact_radius_ratio"]}
     assert edge.items() <= started.settings.items()
+    assert started.settings.relaxation_mm == longer_mm
+    assert full.settings.relaxation_mm < longer_mm > alone.settings.relaxation_mm
     full, alone = (replace(one, settings={**one.settings, **edge}) for one in (full, alone))
     error, own, few = (gelform.evaluate(c, test).summary["normal_free_deg"] for c in (started, full, alone))
     assert error < 1.7 * own

@@ -334,7 +334,7 @@ class MadeUpPresses:
 
 
 def chosen(error, candidates=(STIFF, FREE)):
-    return select([candidates], MadeUpPresses(error)).chosen
+    return select(candidates, MadeUpPresses(error)).chosen
 
 
 def test_the_mean_is_of_logarithms():
@@ -375,28 +375,48 @@ def test_steps_are_tried_of_what_leads_alone():
     held_out = MadeUpPresses(
         lambda c, i: 0.05 if c.settings == STIFF.settings else 0.02 if c.step_ridge else 0.06
     )
-    found = select([(STIFF, FREE)], held_out)
+    found = select((STIFF, FREE), held_out)
     assert found.chosen == STIFF
     assert held_out.tried == [[STIFF, FREE], [replace(STIFF, step_ridge=ridge) for ridge in RIDGES]]
     assert [one.candidate for one in found.trials] == [*held_out.tried[0], *held_out.tried[1]]
 
 
 def test_a_fit_from_a_start_is_averaged_with_one_without():
-    """In inverse proportion to their squared errors on held-out presses; a fold's own do not weigh what scores it."""
+    """In proportion to their likelihoods on held-out presses; a fold's own do not weigh what scores it."""
     start = start_at(HierarchicalModel(np.zeros((3, 3, 19, 2)), 3, (24, 20)))
     (begun,) = candidates_from(start, 4)
-    held_out = MadeUpPresses(lambda c, i: 0.02 * (9 if first_fold(i) else 1) if c.start is None else 0.04)
-    found = average(begun, STIFF, held_out)
+    held_out = MadeUpPresses(lambda c, i: 0.04 * (1 if c.start else 1.5 if first_fold(i) else 0.95))
+    found = average([select([one], held_out, averaging=True) for one in (begun, STIFF)], held_out)
     (first, one), (second, other) = found.chosen.parts
-    logs = np.log(0.02) + 0.2 * np.log(9), np.log(0.04)
-    assert second / first == pytest.approx(np.exp(2 * (logs[1] - logs[0])))
+    each = PRESSES // FOLDS
+    assert second / first == pytest.approx(0.95 ** (-4 * each) * 1.5**-each)
     assert first + second == pytest.approx(1)
     assert (one.start, other.start) == (start, None)
-    assert (one.step_ridge, other.step_ridge) == (begun.with_steps(20)[0].step_ridge, RIDGES[0])
+    assert (one.step_ridge, other.step_ridge) == (begun.with_steps(PRESSES)[0].step_ridge, RIDGES[0])
     shares = [fold.parts[1][0] for fold in found.by_fold]
-    assert shares == pytest.approx([0.8, *[shares[1]] * 4])
-    assert shares[1] < second < 0.8
+    assert shares[0] / (1 - shares[0]) == pytest.approx(0.95 ** (-4 * each))
+    assert shares[1:] == pytest.approx([shares[1]] * 4)
+    assert shares[1] < second < shares[0]
     assert {found.chosen} <= {trial.candidate for trial in found.trials}
+
+
+def test_each_fold_averages_what_its_own_presses_do_not_select():
+    """From either side the best with a step, though it reads better without one: an average has the responses of both."""
+    start = start_at(HierarchicalModel(np.zeros((3, 3, 19, 2)), 3, (24, 20)))
+    softest = candidates_from(start, PRESSES)[-1].settings
+
+    def error(candidate, i):
+        odd = candidate.settings in (softest, FREE.settings)
+        return (0.05 if candidate.step_ridge else 0.01) * (0.2 if first_fold(i) else 1.1) ** odd
+
+    held_out = MadeUpPresses(error)
+    sides = [
+        select(group, held_out, averaging=True) for group in (candidates_from(start, PRESSES), (STIFF, FREE))
+    ]
+    found = average(sides, held_out)
+    assert [part.settings for _, part in found.chosen.parts] == [softest, FREE.settings]
+    assert softest not in [part.settings for _, part in found.by_fold[0].parts]
+    assert all(part.step_ridge for one in (found.chosen, *found.by_fold) for _, part in one.parts)
 
 
 def test_the_mean_of_two_fits_lies_between_them_and_knows_their_distance(held_out, folds, prepared):
@@ -434,7 +454,7 @@ def test_folds_choose_without_their_own_presses():
 
     said = []
     held_out = MadeUpPresses(error)
-    found = select([(STIFF, FREE)], held_out, progress=lambda done, total, what: said.append((done, total)))
+    found = select((STIFF, FREE), held_out, progress=lambda done, total, what: said.append((done, total)))
     wanted = replace(FREE, step_ridge=RIDGES[1])
     assert found.chosen == wanted
     assert found.by_fold == (STIFF, *[wanted] * 4)

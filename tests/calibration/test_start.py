@@ -44,6 +44,8 @@ def test_a_translated_model_reads_the_slopes_that_the_first_one_reads(lambertian
 def test_a_second_unit_starts_from_any_color_model(lambertian_calibration, calibration, presses):
     start = start_from(lambertian_calibration, presses, "auto")
     assert start.digest == lambertian_calibration.digest
+    gel = lambertian_calibration.settings
+    assert (start.edge, start.relaxation_mm) == (gel.contact_radius_ratio, gel.relaxation_mm)
     assert start.model.degree == 3, "as the model that is drawn to it"
     np.testing.assert_allclose(
         start_from(calibration, presses, "hierarchical").model.nodes, calibration.color_model.nodes

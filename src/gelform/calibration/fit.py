@@ -59,9 +59,9 @@ def calibrate(
     presses : from `read_presses`, or a path that it reads without options
     color_model : "auto" or a name in `gelform.slopes.color_models.COLOR_MODELS`
     start : "auto", None, or the calibration of another unit of the same sensor, of any color model, or its file
-        Its model is kept where these presses give no other information, so five presses suffice. "auto" also tries the
-        starter of a known make, and keeps it if held-out presses are not read worse; None tries none. Under 12 presses, a
-        fit from the start and one without it are averaged, and the contact edge is the start's.
+        Its model is kept where these presses give no other information, so five presses suffice. "auto" takes the starter
+        of a known make; None takes none. A fit from the start and one without it are averaged, by how well they read
+        held-out presses. Under 12 presses, the contact edge and the gel's relaxation length are the start's.
     compare : whether every color model is tried on the same folds, for the report's table; the selection stays the same
     progress : called with (done, total, what)
 

@@ -8,7 +8,7 @@ For each fold of held-out presses the circles of the other presses are refined f
 press nor a circle that it helped to place is ever in the model that scores it.
 
 The score is the mean logarithm of each press's slope error inside the contact edge, which one wrong circle moves little.
-Folds of under 12 presses choose nothing: the stiffest fit is taken, and with a start its average with the started one.
+Folds of under 12 presses choose nothing: the stiffest fit is taken. With a start, fits from it and without it are averaged.
 
 Reporting the scores of the selection would flatter them. So each fold's presses are reported with the candidate that the
 other folds' presses select.
@@ -385,54 +385,54 @@ def score_of(press: PreparedPress, frame: Step) -> HeldOutSlopeScore:
 
 
 def select(
-    groups: Sequence[Sequence[Candidate]], held_out: HeldOutPresses, *, progress: Progress = no_progress
+    group: Sequence[Candidate],
+    held_out: HeldOutPresses,
+    *,
+    averaging: bool = False,
+    progress: Progress = no_progress,
 ) -> Selection:
-    """Select among candidates, in groups of one color model, then the step: by all presses, and without each fold's.
+    """Select among candidates of one color model, then the step: by all presses, and without each fold's.
 
-    If groups read held-out presses equally well, the first one is selected.
+    If candidates read held-out presses equally well, the first one is selected. For `averaging`, it is one with a step.
     """
     left_out = [*(fold.held_out for fold in held_out.folds), ()]
     presses = sum(map(len, left_out))
-    plain = [held_out.try_candidates(group) for group in groups]
-    progress(1, 2, f"tried {groups[0][0].model}")
-    stepped: dict[Candidate, list[Trial]] = {}
-    for trials in plain:
-        for leader in dict.fromkeys(_best(trials, without) for without in left_out):
-            stepped[leader] = held_out.try_candidates(leader.with_steps(presses))
+    plain = held_out.try_candidates(group)
+    progress(1, 2, f"tried {group[0].model}")
+    leaders = [_best(plain, without) for without in left_out]
+    stepped = {one: held_out.try_candidates(one.with_steps(presses)) for one in dict.fromkeys(leaders)}
     progress(2, 2, "tried the forward response")
 
-    def chosen(without: Sequence[int]) -> Candidate:
-        finalists = []
-        for trials in plain:
-            leader = _best(trials, without)
-            finalists += [*(t for t in trials if t.candidate == leader), *stepped[leader]]
-        return _best(finalists, without)
+    def chosen(leader: Candidate, without: Sequence[int]) -> Candidate:
+        unstepped = [] if averaging else [trial for trial in plain if trial.candidate == leader]
+        return _best([*unstepped, *stepped[leader]], without)
 
-    *by_fold, by_all = map(chosen, left_out)
-    return Selection(by_all, tuple(by_fold), tuple(chain(*plain, *stepped.values())))
+    *by_fold, by_all = map(chosen, leaders, left_out)
+    return Selection(by_all, tuple(by_fold), tuple(chain(plain, *stepped.values())))
 
 
-def average(begun: Candidate, own: Candidate, held_out: HeldOutPresses) -> Selection:
-    """The average of a fit from a start and of one without it, each in inverse proportion to its squared error.
+def mean_of(parts: Sequence[Candidate], own_share: float) -> Candidate:
+    """The average of a candidate from a start and one without it."""
+    begun, own = parts
+    of_own = (*((f"own_{key}", value) for key, value in own.settings), ("own_share", own_share))
+    return replace(begun, settings=begun.settings + of_own, parts=((1 - own_share, begun), (own_share, own)))
 
-    No criterion that few presses offer chooses rightly between the two; their mean is about as good as the better one.
+
+def average(selections: Sequence[Selection], held_out: HeldOutPresses) -> Selection:
+    """The average of what was selected from a start and without it, in proportion to their likelihoods.
+
+    Each press is one observation, of unknown variance, so that a likelihood is the product of one over the presses' errors.
     """
-    presses = sum(len(fold.held_out) for fold in held_out.folds)
-    begun, own = (one.with_steps(presses)[0] for one in (begun, own))
-    trials = [held_out.try_candidates([one])[0] for one in (begun, own)]
+    trials = {trial.candidate: trial for one in selections for trial in one.trials}
 
-    def of(without: Sequence[int]) -> Candidate:
-        weights = [np.exp(-2 * trial.mean_log(without)) for trial in trials]
-        shares = (np.array(weights) / sum(weights)).tolist()
-        settings = (
-            *begun.settings,
-            *((f"own_{key}", value) for key, value in own.settings),
-            ("own_share", shares[1]),
-        )
-        return replace(begun, settings=settings, parts=tuple(zip(shares, (begun, own))))
+    def of(parts: Sequence[Candidate], without: Sequence[int]) -> Candidate:
+        begun, own = (trials[part].mean_log(without) for part in parts)
+        presses = len(trials[parts[0]].scores) - len(without)
+        return mean_of(parts, float(scipy.special.expit(presses * (begun - own))))
 
-    *by_fold, by_all = (of(fold) for fold in [*(fold.held_out for fold in held_out.folds), ()])
-    return Selection(by_all, tuple(by_fold), (*trials, *held_out.try_candidates([by_all])))
+    pairs = zip(*((*one.by_fold, one.chosen) for one in selections))
+    *by_fold, by_all = map(of, pairs, [*(fold.held_out for fold in held_out.folds), ()])
+    return Selection(by_all, tuple(by_fold), (*trials.values(), *held_out.try_candidates([by_all])))
 
 
 def _best(trials: Sequence[Trial], without: Sequence[int]) -> Candidate:
@@ -460,22 +460,20 @@ def fit(
 ) -> Fitted:
     """Select the stiffness of the color model and its forward response on held-out presses, and fit both on all.
 
-    A fit from another unit's model is of its kind. Under 12 presses choose nothing: the stiffest fit is taken, and averaged
-    with the one from another unit's model. From 12 on, they choose if the other unit's was just offered.
-    `compare` tries all models and does not change the selection.
+    A fit from another unit's model is of its kind, and averaged with one without it. Under 12 presses choose nothing: the
+    stiffest fits are taken. `compare` tries all models and does not change the selection.
     """
     accepted, start = len(located.refined.accepted), located.start
-    held_out = HeldOutPresses(located, folds)
-    begun = [] if start is None else [candidates_from(start, accepted)]
-    alone = [candidates_for(color_model, accepted)] if start is None or start.offered else []
-    few = not NEEDED.edge.met(accepted)
-    if few and start is not None:
-        selection = average(begun[0][0], candidates_for(color_model, accepted)[0], held_out)
-    elif few and color_model in (AUTO, DEFAULT_MODEL):
-        chosen = alone[0][0].with_steps(accepted)[0]
-        selection = Selection(chosen, (chosen,) * len(folds), tuple(held_out.try_candidates([chosen])))
+    held_out, groups = HeldOutPresses(located, folds), [candidates_for(color_model, accepted)]
+    if start is not None:
+        groups.insert(0, candidates_from(start, accepted))
+    if NEEDED.edge.met(accepted) or color_model not in (AUTO, DEFAULT_MODEL):
+        selections = [select(one, held_out, averaging=start is not None, progress=progress) for one in groups]
     else:
-        selection = select([*begun, *alone], held_out, progress=progress)
+        stiffest = [group[0].with_steps(accepted)[0] for group in groups]
+        trials = [tuple(held_out.try_candidates([one])) for one in stiffest]
+        selections = [Selection(one, (one,) * len(folds), tried) for one, tried in zip(stiffest, trials)]
+    selection = selections[0] if start is None else average(selections, held_out)
     notes: tuple[str, ...] = ()
     if compare:
         selection, notes = _compared(selection, held_out, accepted, progress)
@@ -501,7 +499,7 @@ def _compared(
     left_out: list[str] = []
     for name in COLOR_MODELS:
         try:
-            others = select([candidates_for(name, presses)], held_out, progress=progress).trials
+            others = select(candidates_for(name, presses), held_out, progress=progress).trials
         except GelformError as problem:  # its extra is not installed, or it needs more presses
             left_out.append(f"{name} was not compared: {problem}")
             continue
@@ -521,16 +519,15 @@ def fit_all(
 
     A fit without a start takes the presses and circles `alone` instead, if they are given.
     """
-    noise, fits = presses.background_noise, []
+    noise, fits, of_all = presses.background_noise, [], (prepared, contacts)
     for one in [part for _, part in chosen.parts] or [chosen]:
-        how = (prepared, contacts) if alone is None or one.start is not None else alone
+        how = of_all if alone is None or one.start is not None else alone
         reader = SlopeReader(one.fit(training_samples(*how)), prepared[0], untouched)
         step = one if one.step_ridge is not None else one.with_steps(len(prepared))[0]
         assert step.step_ridge is not None
         (response,) = fitted_responses(reader, *how, [step.step_ridge], start=one.start)
         fits.append(FittedSlopes(reader, response))
     reader, forward = averaged(chosen, fits, prepared[0], untouched) if chosen.parts else fits[0]
-    model = reader.model
     assert forward is not None
     images = [press.image for press in presses.presses]
     levels = [image[one.pixels(contact, ZONE)] for image, one, contact in zip(images, prepared, contacts)]
@@ -540,7 +537,10 @@ def fit_all(
         step_sigma=None if chosen.step_ridge is None else forward.step_sigma,
         clipped=np.asarray(shares > 0.01),
     )
-    relaxation_mm = relaxation_from_presses(model, prepared, contacts, presses.background, presses.mm_per_px)
+    few_from = None if NEEDED.edge.met(len(prepared)) else chosen.start
+    length_mm = None if few_from is None else few_from.relaxation_mm
+    if length_mm is None:
+        length_mm = relaxation_from_presses(reader.model, *of_all, presses.background, presses.mm_per_px)
     return Calibration(
         sensor_name=presses.sensor_name,
         serial=presses.serial,
@@ -552,13 +552,13 @@ def fit_all(
         background=presses.background,
         background_noise=noise_from_image(presses.background) if noise is None else noise,
         change=change_settings(presses, chosen.change_offset),
-        color_model=model,
+        color_model=reader.model,
         forward=forward,
         slope_sigma=FIRST_GUESS if forward.step_sigma is None else replace(FIRST_GUESS, per_step=1.0),
         untouched_change=untouched,
         held_out={},
         training_digests=tuple(press.digest for press in presses.presses),
-        settings=_settings(presses, chosen, images, prepared[0].contact_radius_ratio, relaxation_mm),
+        settings=_settings(presses, chosen, images, prepared[0].contact_radius_ratio, length_mm),
         library_version=__version__,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )

@@ -34,10 +34,11 @@ class Start:
     digest: str  # of its calibration
     spread: float  # relative standard deviation of slopes between units
     by: str  # description of its origin
-    edge: float | None = (
-        None  # radius of its contact edge over that of the visible rim, which few presses cannot measure
-    )
-    offered: bool = False  # whether a fit without it is tried too, and kept if held-out presses prefer it
+    # Radius of its contact edge over that of the visible rim, and its gel's relaxation length, mm, which few presses
+    # cannot measure.
+    edge: float | None = None
+    relaxation_mm: float | None = None
+    offered: bool = False  # whether nobody asked for it, so that circles do without it where presses suffice
     note: str = ""  # for the user, if it is of another gel
     own: bool = False  # whether it was made from these presses
 
@@ -75,8 +76,8 @@ def starter_start(presses: Presses, color_model: str) -> tuple[Start | None, tup
             model, forward = starter.models_for(light, presses.mm_per_px)
             by = f"the starter of a {starter.make}"
             known = starter.calibration
-            edge = known.settings.contact_radius_ratio
-            start = Start(model, forward, known.digest, starter.spread, by, edge, offered=not why, own=own)
+            gel = known.settings.contact_radius_ratio, known.settings.relaxation_mm
+            start = Start(model, forward, known.digest, starter.spread, by, *gel, offered=not why, own=own)
     return start, (f"The starter of a {starter.make} was not tried, because {why}.",) if why else ()
 
 
@@ -99,7 +100,7 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
             f"{make_name(str(make))}, whose lamps stand elsewhere. Leave the start out, or give one of the same make."
         )
     model, by = first.color_model, f"a calibration of {first.sensor_name}"
-    edge = first.settings.contact_radius_ratio
+    gel = first.settings.contact_radius_ratio, first.settings.relaxation_mm
     spread = first.unit_spread or USUAL_SPREAD
     other_gel = first.gel_id and presses.gel_id and first.gel_id != presses.gel_id
     note = f"The start is of gel {first.gel_id}, the presses are of {presses.gel_id}." if other_gel else ""
@@ -109,13 +110,13 @@ def start_from(start: Calibration | str | PathLike[str], presses: Presses, color
         if first.mm_per_px is not None:
             alike = np.ones((1, 1, 3)), presses.mm_per_px / first.mm_per_px
             model, forward = model.of_other_unit(*alike), forward.of_other_unit(*alike)
-        return Start(model, forward, first.digest, spread, by, edge, note=note)
+        return Start(model, forward, first.digest, spread, by, *gel, note=note)
     if tuple(first.image_shape) != tuple(presses.image_shape):
         (height, width), (rows, columns) = presses.image_shape, first.image_shape
         raise ValueError(
             f"Expected to start from a calibration for images of {height}x{width} px, got one for {rows}x{columns} px."
         )
-    return Start(*translated(first), first.digest, spread, by, edge, note=note)
+    return Start(*translated(first), first.digest, spread, by, *gel, note=note)
 
 
 def translated(first: Calibration) -> tuple[StartableModel, ForwardResponse]:

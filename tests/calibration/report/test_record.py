@@ -107,10 +107,11 @@ def another(calibration, **how):
 @pytest.mark.slow
 def test_a_start_is_part_of_the_curve(presses, calibration, monkeypatch):
     """A curve of models that began with another unit's says nothing if its own begin with nothing."""
-    start, few = another(calibration), of_first(calibration, 8)
+    start, few = another(calibration), of_first(calibration, 8, own_ridge=1e-3, own_share=0.3)
     started = replace(few, report=replace(few.report, start=start))
     assert [c.start for c in candidates_of(started, 5, start)] == [start]
     assert [c.start for c in candidates_of(started, 12, start)] == [start] * 3
+    assert {tuple(share for share, _ in c.parts) for c in candidates_of(started, 12, start)} == {(0.7, 0.3)}
     began = []
 
     def refined(*args, start=None):
@@ -125,14 +126,15 @@ def test_a_start_is_part_of_the_curve(presses, calibration, monkeypatch):
 
 @pytest.mark.slow
 def test_a_curve_beside_an_offered_starter_shows_both(presses, calibration):
-    few = of_first(calibration, 12)
-    beside = replace(few, report=replace(few.report, offered=another(calibration, offered=True)))
+    few, start = of_first(calibration, 12, own_ridge=1e-3, own_share=0.3), another(calibration, offered=True)
+    beside = replace(few, report=replace(few.report, start=start, offered=start))
     curve = learning_curve(presses, beside, rng=np.random.default_rng(0))
-    assert curve["other"] == "from the starter of a test"
+    assert curve["other"] == "without the starter"
     assert [p["presses"] for p in curve["other_points"]] == [p["presses"] for p in curve["points"]]
-    assert all("the starter of a test" in p["model"] for p in curve["other_points"])
+    assert all("the starter of a test" in p["model"] for p in curve["points"])
+    assert not any("the starter of a test" in p["model"] for p in curve["other_points"])
     first, other = (curve[name][0]["mean_deg"] for name in ("points", "other_points"))
-    assert other < first, "it has seen these presses"
+    assert first < other, "it has seen these presses"
 
 
 def test_candidates_grow_no_larger_than_the_chosen_one(calibration):

@@ -24,6 +24,7 @@ from gelform.calibration.selection import (
     candidates_for,
     candidates_from,
     fold_of,
+    mean_of,
 )
 from gelform.calibration.start import Start
 from gelform.calibration_file import Calibration
@@ -130,20 +131,15 @@ def _of_repeated(located: Located) -> tuple[str, ...]:
 
 
 def _of_starter(selection: Selection, offered: Start | None) -> tuple[str, ...]:
-    """Whether the fit began with the starter, and the held-out slope errors behind that decision."""
+    """How much a fit from the starter counts, and the held-out slope errors that weigh it."""
     if offered is None:
         return ()
-    single = [one for one in selection.trials if not one.candidate.parts]
-    with_start, without = (
-        [one.mean_log() for one in single if (one.candidate.start is not None) == begun]
-        for begun in (True, False)
-    )
-    used = "was used" if selection.chosen.start is not None else "was not used"
-    if selection.chosen.parts:
-        used = f"counts {100 * selection.chosen.parts[0][0]:.0f} % in an average with a fit without it"
-    errors = [float(np.exp(min(logs))) for logs in (with_start, without)]
+    trials = {trial.candidate: trial for trial in selection.trials}
+    share, _ = selection.chosen.parts[0]
+    errors = [float(np.exp(trials[part].mean_log())) for _, part in selection.chosen.parts]
     return (
-        f"{offered.subject} {used}. Held-out slopes are off by {errors[0]:.3f} with it and by {errors[1]:.3f} without it.",
+        f"{offered.subject} counts {100 * share:.0f} % in an average with a fit without it. Held-out slopes are off by "
+        f"{errors[0]:.3f} with it and by {errors[1]:.3f} without it.",
     )
 
 
@@ -247,7 +243,7 @@ def learning_curve(
     is kept.
 
     The curve has `points` (presses, model, draws_deg, mean_deg), `expected` (the gain from more presses) and `sentence`; if
-    a starter was offered, also `other_points`, of models with the other choice of start, and `other`, that choice. It is
+    a starter was offered, also `other_points`, of models without it, and `other`, which says so. It is
     None with fewer than 8 accepted presses, which leave nothing to hold out.
     """
     accepted = [i for i, row in enumerate(calibration.report.presses) if row.accepted]
@@ -267,7 +263,6 @@ def learning_curve(
     sizes = sizes_for(len(own.presses))
     orders = [rng.permutation(len(own.presses)).tolist() for _ in range(DRAWS)]
     begun, offered = calibration.report.start, calibration.report.offered
-    other_start = offered if begun is None else None
 
     def point_of(size: int, start: Start | None) -> list[dict[str, Any]]:
         candidates, draws = candidates_of(calibration, size, start), []
@@ -292,16 +287,12 @@ def learning_curve(
     for done, size in enumerate(sizes):
         points += point_of(size, begun)
         if offered is not None:
-            others += point_of(size, other_start)
+            others += point_of(size, None)
         progress(done + 1, len(sizes), "measuring the learning curve")
     curve = _with_expectation(points, len(own.presses))
     if curve is None or offered is None:
         return curve
-    return {
-        **curve,
-        "other_points": others,
-        "other": "without the starter" if begun else f"from {offered.by}",
-    }
+    return {**curve, "other_points": others, "other": "without the starter"}
 
 
 def held_out_count(accepted: int) -> int:
@@ -318,8 +309,10 @@ def sizes_for(accepted: int) -> list[int]:
 def candidates_of(calibration: Calibration, presses: int, start: Start | None) -> list[Candidate]:
     """The selected color model with settings that a number of presses can support, and the selected step."""
     if start is not None:  # one strength of the prior for model and step
-        options = candidates_from(start, presses)
-        return [replace(one, step_ridge=dict(one.settings)["ridge"]) for one in options]
+        known, begun = calibration.settings.others, candidates_from(start, presses)
+        begun = [replace(one, step_ridge=dict(one.settings)["ridge"]) for one in begun]
+        alone = Candidate(start.model.name, (("ridge", known["own_ridge"]),)).with_steps(presses)[0]
+        return [mean_of((one, alone), known["own_share"]) for one in begun]
     step = calibration.settings.step_ridge
     options = candidates_for(calibration.color_model.name, presses)
     if calibration.report.start is not None:  # its settings are of the other kind of fit
