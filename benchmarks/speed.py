@@ -3,6 +3,8 @@
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/speed.py    # three minutes; --quick: only 240x320, one
     python benchmarks/speed.py --against REF     # the same frames by a commit and by this checkout, in turn; two minutes
 
+    python benchmarks/speed.py --large           # images of 2464x3280 px alone: time and memory; two minutes
+
 Machines are shared and noisy: times are of the processor, and ratios to D, a bare float32 scipy dctn + idctn pair of the
 same size that is measured alternately with the stages in the same run, are to be trusted. Writes results/speed.json.
 """
@@ -39,8 +41,9 @@ from gelform.exchange.exporters.press_folder import save_press_folder
 from gelform.simulate import LAYOUTS, Ball, simulate_ball_presses, simulate_press
 from gelform.slopes.budget import ReadSlopes
 from presses import DATA, by_name, unlabeled
-from report import dct_pair, median_ms, table, write
+from report import dct_pair, median_ms, recorded, table, write, write_part
 from speed.against import compare
+from speed.large import measured as large_images
 from speed.turns import EVERYTHING as WHOLE
 from speed.turns import first_frame_ms, read
 
@@ -158,9 +161,17 @@ def main() -> None:
     parser.add_argument(
         "--against", metavar="REF", help="compare with a commit; --quick: whole frames alone, one"
     )
+    parser.add_argument("--large", action="store_true", help="images of 2464x3280 px alone")
     asked = parser.parse_args()
     if asked.against:
         against(asked.against, asked.quick)
+        return
+    if asked.large:
+        with tempfile.TemporaryDirectory() as folder:
+            write_presses(Path(folder), SIZES[0])
+            large = large_images(Path(folder))
+        print(large)
+        write_part("speed", "large", large)
         return
     figures: dict[str, Any] = {}
     others: dict[str, Any] = {}
@@ -189,7 +200,8 @@ def main() -> None:
     faster = (f"{name}: {times:.1f} times faster" for name, times in over.items())
     print(f"gs_sdk's get_surface_info: {peer} D; {', '.join(faster)}\n{others}")
     if not asked.quick:
-        write("speed", {"sizes": figures, "times_faster_than_gs_sdk": over, **others})
+        kept = {name: one for name, one in recorded("speed").items() if name == "large"}
+        write("speed", {**kept, "sizes": figures, "times_faster_than_gs_sdk": over, **others})
 
 
 def timed_stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Any]:

@@ -3,10 +3,11 @@
     python benchmarks/stream.py                        # all except the soak test: about 15 minutes on an idle machine
     python benchmarks/stream.py --quick                # a few draws and seconds of each, about 4 minutes; writes nothing
     python benchmarks/stream.py --only live slow       # some parts; the others keep their figures
+    python benchmarks/stream.py --only four            # four sensors of a hand; on a machine without other work
     python benchmarks/stream.py --soak 60              # an hour of the simulated sensor: memory and rate
 
-Parts: live (1 min), slow (2 min), restarts and large (3 and 2 min; with a real ffmpeg), faults (8 min), alarms (2 min; needs
-GELFORM_DATA).
+Parts: live (1 min), slow (2 min), restarts and large (3 and 2 min; with a real ffmpeg), four (4 min), faults (8 min), alarms
+(2 min; needs GELFORM_DATA).
 
 Gels and faults are random, by default with a new `--seed` each time: nothing is tuned on the reported data. Minutes of them
 are simulated faster than real time, because a stream's memory takes its times from the frames.
@@ -38,13 +39,14 @@ from gelform.simulate.light import simulate_background
 from presses import DATA, presses_of, unlabeled
 from report import recorded, table, write
 from stream.ffmpeg_camera import why_absent
+from stream.four import four
 from stream.rates import live, slow_consumer, soak
 from stream.sensor_faults import FAULTS, Gel, found_in, frames_with
 from stream.sources import large_stream, restarts
 
 SMALL = replace(LAYOUTS["three-edges"], shape=(132, 176), mm_per_px=0.1153)
 FULL = LAYOUTS["three-edges"]
-PARTS = ("live", "slow", "restarts", "large", "faults", "alarms")
+PARTS = ("live", "slow", "restarts", "large", "four", "faults", "alarms")
 NAMED = {
     "brightness_shift", "camera_moved", "color_shift", "dust", "frozen",
     "other_gel", "room_light", "scratch", "tear", "torn",
@@ -121,6 +123,7 @@ def parts_of(asked: argparse.Namespace, rng: np.random.Generator) -> dict[str, C
         "slow": lambda: slow_consumer(of(FULL), seconds),
         "restarts": lambda: of_ffmpeg(lambda: restarts(of(FULL), *((3, 5.0) if quick else (20,)))),
         "large": lambda: of_ffmpeg(lambda: large_stream(of(FULL), 3 if quick else 20)),
+        "four": lambda: four(of(FULL), FULL, seconds),
         "faults": lambda: faults(of(SMALL), draws, rng),
         "alarms": false_alarms,
         "soak": lambda: soak(of(FULL), asked.soak),
@@ -146,6 +149,18 @@ def shown(figures: dict[str, Any]) -> str:
         ("large", "share of a core", "0.6", ("captured", "busy_share_of_a_core")),
         ("large", "with reconstruction: results a second", "-", ("reconstructed", "rate_hz")),
         ("large", "share of a core", "-", ("reconstructed", "busy_share_of_a_core")),
+        *(
+            ("four", f"four sensors, {what}, {kind}: {name}", asked, (what, kind, *path))
+            for what, rate in (("everything", "120"), ("depth_only", "240"))
+            for kind in ("threads", "processes")
+            for name, asked, path in (
+                ("frames a second", rate, ("frames_per_s",)),
+                ("frames lost", "0", ("dropped",)),
+                ("age at the consumer, 95 %, ms", "40", ("age_ms", "95 %")),
+            )
+        ),
+        ("four", "everything: two threads over one", "1.8", ("everything", "alone", "two_over_one")),
+        ("four", "depth_only: two threads over one", "1.8", ("depth_only", "alone", "two_over_one")),
         ("soak", "memory growth an hour, MB", "20", ("growth_mb_per_hour",)),
     )
     rows = []

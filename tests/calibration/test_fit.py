@@ -7,6 +7,7 @@ import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -62,6 +63,39 @@ def test_held_out_errors_are_those_of_new_presses(calibration, simulated):
         degrees.append(errors.normal_deg)
         assert abs(errors.radius_percent) < 8
     assert np.mean(degrees) < min(1.5 * calibration.held_out["normal_free_deg"], 2)
+
+
+@pytest.mark.slow
+def test_a_calibration_of_large_images_is_that_of_small_ones_and_reads_them_at_their_size(presses):
+    rng = np.random.default_rng(0)
+
+    def larger(image):  # with a camera's noise in each pixel
+        large = cv2.resize(image.astype(np.float32), None, fx=4, fy=4, interpolation=cv2.INTER_LINEAR)
+        large = np.clip(np.rint(large + rng.normal(0, 1, large.shape)), 0, 255)
+        return large.astype(image.dtype)
+
+    read = replace(
+        presses,
+        presses=tuple(replace(press, image=larger(press.image)) for press in presses.presses),
+        background=larger(presses.background),
+        mm_per_px=presses.mm_per_px / 4,
+    )
+    reduced = replace(read.reduced(), reduced_by=1)
+    made = gelform.calibrate(read)
+    assert (made.image_shape, made.mm_per_px) == (read.image_shape, read.mm_per_px)
+    assert set(made.training_digests) <= {press.digest for press in read.presses}
+    small = gelform.calibrate(reduced)
+    for large_row, small_row in zip(made.report.presses, small.report.presses):
+        assert large_row.contact_radius_px == pytest.approx(2 * small_row.contact_radius_px)
+        assert large_row.center_x_px == pytest.approx(2 * small_row.center_x_px + 0.5)
+    large_errors, errors = (gelform.evaluate(one, of).summary for one, of in ((made, read), (small, reduced)))
+    for name in ("normal_free_deg", "cap_free_um"):
+        assert large_errors[name] == pytest.approx(errors[name], rel=0.1), name
+    sigma, small_sigma = (
+        float(np.median(gelform.Reconstructor(one)(of.presses[0].image).depth_sigma_mm))
+        for one, of in ((made, read), (small, reduced))
+    )
+    assert sigma == pytest.approx(small_sigma, rel=0.2)
 
 
 def test_forward_response_renders_what_the_sensor_shows(calibration, simulated):

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from gelform.arrays import Array, Mask, Numbers
 from gelform.calibration.presses.press_set import NAMED, Circle
 from gelform.errors import counted
+from gelform.image.view import scale_of
 from gelform.result.metrics import followed_radius
 
 
@@ -148,7 +149,7 @@ def direction_of(gradients: Array) -> Array:
 
 def shown_by(circle: Circle, shape: tuple[int, int], tiles: tuple[int, int]) -> Mask:
     """The directions (rows, columns, 8) that a press shows in each tile, on at least 0.07 % of the image's pixels."""
-    step = 2  # px between the counted pixels
+    step = 2 * max(1, int(scale_of(shape)))  # px between the counted pixels
     y, x = (axis.ravel() for axis in np.mgrid[: shape[0] : step, : shape[1] : step])
     rho = np.hypot(x - circle[0], y - circle[1]) / circle[2]
     inside = (rho > 0.25) & (rho < 0.8)  # of the contact; nearer to its center a ball is level

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from gelform.arrays import Map, Numbers
-from gelform.calibration.circles.find import ContactCircle, prepare, why_no_contact
+from gelform.calibration.circles.find import ContactCircle, change_settings, prepare, why_no_contact
 from gelform.calibration.circles.locate import locate
 from gelform.calibration.coverage import SAMPLED
 from gelform.calibration.held_out import errors_of, measure_held_out
@@ -32,10 +32,11 @@ from gelform.calibration.presses.folder import Presses, as_presses, with_view
 from gelform.calibration.presses.press_set import Press
 from gelform.calibration.report.content import errors_where
 from gelform.calibration.report.record import report_of_run, summary
-from gelform.calibration.selection import candidates_for, fit, make_folds
+from gelform.calibration.selection import candidates_for, fit, image_noise, make_folds
 from gelform.calibration.start import AUTO, start_from, starter_start
 from gelform.calibration_file import Calibration, as_calibration
 from gelform.errors import DataError, Progress, no_progress
+from gelform.image.background import noise_from_image
 from gelform.motion.between import motion_between, moved
 from gelform.reconstruct import Reconstructor
 
@@ -78,24 +79,27 @@ def calibrate(
         An unknown color model, a start that cannot be one, or no presses.
     """
     began = time.monotonic()
-    presses = as_presses(presses, progress=progress)
-    candidates_for(color_model, len(presses.presses))  # an unknown name fails before any work
+    read = as_presses(presses, progress=progress)
+    candidates_for(color_model, len(read.presses))  # an unknown name fails before any work
+    presses = read.reduced()
     check_inputs(presses)
     doubts = background_findings(presses)
     untried: tuple[str, ...] = ()
     if start is None:
-        first_unit, (known, _) = None, starter_start(presses, color_model)
+        known, _ = starter_start(read, color_model)
     elif start == AUTO:
-        known, untried = starter_start(presses, color_model)
-        first_unit = known if known is not None and known.offered else None
+        known, untried = starter_start(read, color_model)
     else:
-        first_unit = known = start_from(start, presses, color_model)
+        known = start_from(start, read, color_model)
+    if known is not None and presses is not read:
+        known = known.at_size(presses.image_shape, presses.reduced_by)
+    first_unit = None if known is None or start is None or (start == AUTO and not known.offered) else known
 
     located = locate(presses, first_unit, progress=progress)
     balls = ball_readings(located, known)
     said = (
         *(one.message for one in doubts),
-        *first_notes(presses, balls),
+        *first_notes(read, balls),
         *light_press_notes(located, balls),
         *untried,
     )
@@ -110,7 +114,7 @@ def calibrate(
     circles = [located.refined.contacts[i] for i in located.refined.accepted]
     place_error = place_error_from_presses(made, own, circles)
     report = report_of_run(fitted, judged, balls, notes=notes, seconds=time.monotonic() - began)
-    return replace(
+    made = replace(
         made,
         settings=replace(
             made.settings,
@@ -119,6 +123,61 @@ def calibrate(
         ),
         held_out=report.held_out,
         report=report,
+    )
+    return made if presses is read else for_images_as_read(made, presses, read)
+
+
+def for_images_as_read(made: Calibration, presses: Presses, read: Presses) -> Calibration:
+    """The calibration of presses that were reduced (`Presses.reduced`), for their images as they were read."""
+    side, shape = presses.reduced_by, read.image_shape
+    model, forward, sigma = made.color_model, made.forward, made.slope_sigma
+    assert forward is not None
+    assert sigma is not None
+    by_small = {small.digest: press for small, press in zip(presses.presses, read.presses)}
+    used = [by_small[digest] for digest in made.training_digests]
+    rows = []
+    for row in made.report.presses:
+        x, y, radius = presses.as_read((row.center_x_px, row.center_y_px, row.contact_radius_px))
+        center_sigma, radius_sigma = (
+            one and side * one for one in (row.center_sigma_px, row.contact_radius_sigma_px)
+        )
+        rows.append(
+            replace(
+                row,
+                center_x_px=x,
+                center_y_px=y,
+                contact_radius_px=radius,
+                center_sigma_px=center_sigma,
+                contact_radius_sigma_px=radius_sigma,
+            )
+        )
+    pixels = made.report.pixels.copy()
+    for name in ("x_px", "y_px"):
+        pixels[name] = (pixels[name] + 0.5) * side - 0.5
+    noise = read.background_noise
+    return replace(
+        made,
+        view=read.camera_view,
+        image_shape=shape,
+        mm_per_px=read.mm_per_px,
+        mm_per_px_sigma=read.mm_per_px_sigma,
+        background=read.background,
+        background_noise=noise_from_image(read.background) if noise is None else noise,
+        change=change_settings(read, made.change.offset),
+        color_model=model.at_size(shape, 1 / side),
+        forward=forward.at_size(shape, 1 / side),
+        slope_sigma=replace(
+            sigma,
+            correlation_px=side * sigma.correlation_px,
+            rest_correlation_px=side * sigma.rest_correlation_px,
+            # Depth takes errors of pixels for independent, and there are more of them over the same errors now.
+            depth_factor=side * sigma.depth_factor,
+        ),
+        training_digests=tuple(press.digest for press in used),
+        settings=replace(
+            made.settings, image_noise=image_noise([press.image for press in used], read.background).tolist()
+        ),
+        report=replace(made.report, presses=tuple(rows), pixels=pixels),
     )
 
 
@@ -207,8 +266,9 @@ def evaluate(
     reconstruct = Reconstructor(calibration, presses.background)
     ratio = calibration.settings.contact_radius_ratio or 1.0
     rows, errors, pixels, radii = [], [], [], dict[float, list[float]]()
-    for done, (press, found) in enumerate(zip(presses.presses, prepare(presses, progress=progress))):
-        circle, reason = found.found.circle_px, found.refused or why_no_contact(found.found)
+    small = presses.reduced()
+    for done, (press, found) in enumerate(zip(presses.presses, prepare(small, progress=progress))):
+        circle, reason = small.as_read(found.found.circle_px), found.refused or why_no_contact(found.found)
         row: dict[str, Any] = {
             "name": press.name,
             "ball_diameter_mm": press.ball_diameter_mm,

@@ -283,7 +283,10 @@ def background_findings(presses: Presses) -> tuple[Finding, ...]:
         return ()
     untouched = np.median(np.stack([presses.presses[k].image for k in _some(count)]), axis=0)
     touch = touch_in_first(presses.background, untouched)
-    return () if touch is None else (touch.finding("most presses"),)
+    if touch is None:
+        return ()
+    x, y, _ = presses.as_read((touch.x_px, touch.y_px, 0))
+    return (touch._replace(x_px=round(x), y_px=round(y)).finding("most presses"),)
 
 
 def _some(count: int) -> NDArray[np.intp]:
@@ -310,10 +313,7 @@ def check_places(located: Located) -> None:
     # The first note that is about a cause; a list of all hides the reasons.
     cause = next((f"{note} " for note in located.notes if note != UNCHECKED), "")
     if not rejected:
-        circles = [refined.contacts[i].circle_px for i in refined.accepted]
-        cause += (
-            "".join(coverage_notes(circles, presses.image_shape, started=located.start is not None)) + " "
-        )
+        cause += "".join(f"{note} " for note in _coverage_notes(located))
     raise CalibrationError(
         f"Expected at least {least} presses of a ball that fit, got {len(refined.accepted)} of "
         f"{len(presses.presses)} in {presses.folder}. Rejected: {listed or 'none'}. "
@@ -325,7 +325,6 @@ def input_notes(located: Located) -> tuple[str, ...]:
     """Notes on the presses for the user: reading, missing places, drift, light, order of the lights."""
     presses = located.presses
     prepared, contacts = located.refined.of_accepted(located.prepared)
-    circles = [contact.circle_px for contact in contacts]
     of_light: tuple[str, ...] = ()
     if contacts:
         response = light_response(prepared, contacts)
@@ -333,13 +332,21 @@ def input_notes(located: Located) -> tuple[str, ...]:
     found = check_background_of_frames([press.image for press in presses.presses], presses.background)
     return (
         *presses.notes,
-        *coverage_notes(circles, presses.image_shape, started=located.start is not None),
+        *_coverage_notes(located),
         *(finding.message for finding in found),
         *_edge_notes(prepared),
         *shape_notes(prepared, contacts),
         *_scale_notes(presses),
         *of_light,
     )
+
+
+def _coverage_notes(located: Located) -> tuple[str, ...]:
+    """Notes on places without a press, in px of the images as read."""
+    presses, refined = located.presses, located.refined
+    circles = [presses.as_read(refined.contacts[i].circle_px) for i in refined.accepted]
+    height, width = (presses.reduced_by * n for n in presses.image_shape)
+    return coverage_notes(circles, (height, width), started=located.start is not None)
 
 
 def surround_notes(presses: Presses) -> tuple[str, ...]:
@@ -399,8 +406,8 @@ def _scale_notes(presses: Presses) -> tuple[str, ...]:
     if off is None or off < SAME_SCALE:
         return ()
     return (
-        f"The stated {presses.mm_per_px:g} mm/px differs by {100 * off:.0f} % from that of the make's images. Check it, or "
-        "measure it with gelform scale. If it is 1 % off, depth is 2 % off.",
+        f"The stated {presses.mm_per_px / presses.reduced_by:g} mm/px differs by {100 * off:.0f} % from that of the make's "
+        "images. Check it, or measure it with gelform scale. If it is 1 % off, depth is 2 % off.",
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 
 import numpy as np
@@ -41,6 +41,11 @@ class Start:
     offered: bool = False  # whether nobody asked for it, so that circles do without it where presses suffice
     note: str = ""  # for the user, if it is of another gel
     own: bool = False  # whether it was made from these presses
+
+    def at_size(self, shape: tuple[int, int], wider: float) -> Start:
+        """The start for images (H, W) of the same gel, whose pixels are `wider` times as wide."""
+        model = self.model.at_size(shape, wider)
+        return replace(self, model=model, forward=self.forward.at_size(shape, wider))
 
     @property
     def subject(self) -> str:

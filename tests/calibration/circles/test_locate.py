@@ -263,9 +263,8 @@ def test_circles_by_hand_of_other_places_and_sizes_are_named(prepared, found):
     wide = [replace(press, mark=(x, y, 2 * radius)) for press, (x, y, radius) in zip(prepared, circles)]
     (note,) = mark_notes(with_contacts(wide))
     assert "was the diameter given?" in note
-    x, y, radius = circles[0]
-    beyond = replace(prepared[0], mark=(x + 500, y, radius))
-    assert "lies outside the image of 176 px by 132 px" in why_impossible(beyond)
+    beyond = replace(prepared[0], mark=(352, 33, 20))
+    assert "lies outside the image, at 2.00 of its width and 0.25 of its height" in why_impossible(beyond)
     assert why_impossible(right[0]) is None
 
 

@@ -18,7 +18,7 @@ import pytest
 import gelform
 from gelform.calibration.guide import TakenPresses
 from gelform.calibration.presses.folder import ReadOptions, kind_of_presses, read_presses
-from gelform.calibration.presses.press_set import table_rows
+from gelform.calibration.presses.press_set import Press, presses_from_settings, table_rows
 from gelform.errors import DataError, SensorError
 from gelform.exchange.exporters.press_folder import toml_of_settings
 from gelform.image.view import View
@@ -72,6 +72,25 @@ def test_a_ball_and_a_scale_have_to_be_known(tmp_path):
     assert ReadOptions(ball_diameter_mm=6.35).ball("x") == 6.35
     with pytest.raises(DataError, match=r"x: which ball pressed\?.*--ball-diameter-mm"):
         ReadOptions().ball("x")
+
+
+def test_large_images_are_reduced_to_what_the_blur_leaves_and_small_ones_stay():
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 256, (485, 733, 3), dtype=np.uint8)
+    press = Press("a", image, 6.0, label=(100.5, 20.5, 30.0), center_px=(100.5, 20.5))
+    made = presses_from_settings(
+        SensorSettings("mine", 0.02, 0.001), "here", [press], image.astype(np.float32), View()
+    )
+    small = made.reduced()
+    assert (small.image_shape, small.mm_per_px, small.reduced_by) == ((242, 366), 0.04, 2)
+    means = image[:484, :732].reshape(242, 2, 366, 2, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(small.background, means, atol=1e-3)
+    assert np.abs(small.presses[0].image - means).max() <= 0.5
+    assert small.presses[0].label == (50.0, 10.0, 15.0)
+    assert small.presses[0].center_px == (50.0, 10.0)
+    assert small.as_read(small.presses[0].label) == press.label
+    assert small.from_read(press.label) == small.presses[0].label
+    assert small.reduced() is small
 
 
 COLUMNS = ("image", "ball_diameter_mm")

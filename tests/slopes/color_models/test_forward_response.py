@@ -285,6 +285,15 @@ def test_another_unit_is_read_at_the_same_place_and_depth_in_mm():
     np.testing.assert_allclose(unit.covariance, known.covariance / 4)
 
 
+def test_for_images_of_more_pixels_a_place_and_a_depth_in_mm_have_the_same_color():
+    known = response()
+    large = known.at_size((2 * SHAPE[0], 2 * SHAPE[1]), 0.5)
+    slopes, at = np.float64([[0.3, -0.2]] * 3), np.float64([16, 17, 20])
+    made = known.color_from_gradients(slopes, at, at, depth_px=3.0)
+    found = large.color_from_gradients(slopes, 2 * at + 0.5, 2 * at + 0.5, depth_px=6.0)
+    np.testing.assert_allclose(found, made, rtol=2e-3)
+
+
 # Files and mistakes
 
 

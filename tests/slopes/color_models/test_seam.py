@@ -90,6 +90,15 @@ def test_saved_arrays_give_the_same_model(name):
     np.testing.assert_array_equal(again.gradients_at(*at), model.gradients_at(*at))
 
 
+@pytest.mark.parametrize("name", COLOR_MODELS)
+def test_for_images_of_three_times_as_many_pixels_a_place_is_read_as_in_the_small_ones(name):
+    model, samples = model_of(name), ball_samples(shading_change, seed=2)
+    large = model.at_size((3 * SHAPE[0], 3 * SHAPE[1]), 1 / 3)
+    x, y = 3 * samples.x_px + 1, 3 * samples.y_px + 1  # the middle of nine pixels
+    expected = model.gradients_at(samples.color_change, samples.x_px, samples.y_px)
+    np.testing.assert_allclose(large.gradients_at(samples.color_change, x, y), expected, atol=2e-3)
+
+
 @dataclass(frozen=True, eq=False)
 class Record(Stored):
     nodes: NDArray[np.float64]

@@ -171,6 +171,7 @@ def repeated_presses(presses: Presses, prepared: Sequence[PreparedPress]) -> dic
 
 def count_presses(presses: Presses) -> int:
     """The number of presses, frames of one press counted once, and frames without a contact as they are."""
+    presses = presses.reduced()
     prepared = prepare(presses)
     return len(prepared) - len(repeated_presses(presses, prepared))
 
@@ -300,8 +301,8 @@ def why_impossible(press: PreparedPress) -> str | None:
         beyond = radius or press.ball_radius_px
         if not (-beyond < x < width + beyond and -beyond < y < height + beyond):
             return (
-                f"its circle by hand or stage's center ({x:.0f}, {y:.0f}) lies outside the image of {width} px by {height} "
-                "px: give px of the image, after crop and view"
+                f"its circle by hand or stage's center lies outside the image, at {x / width:.2f} of its width and "
+                f"{y / height:.2f} of its height: give px of the image, after crop and view"
             )
     contact = press.found
     reason = why_no_contact(contact)
@@ -309,8 +310,8 @@ def why_impossible(press: PreparedPress) -> str | None:
         return reason
     if contact.radius_px > 3 * press.ball_radius_px:  # no press makes so wide a contact
         return (
-            f"contact radius {contact.radius_px:.1f} px, the ball's {press.ball_radius_px:.1f} px: ball_diameter_mm is "
-            "in inches (25.4 mm each) or mm_per_px is wrong"
+            f"contact radius {contact.radius_px / press.ball_radius_px:.1f} times the ball's: ball_diameter_mm is in inches "
+            "(25.4 mm each) or mm_per_px is wrong"
         )
     return "contact lies outside the frame"
 
@@ -331,8 +332,8 @@ def why_too_wide(presses: Sequence[PreparedPress]) -> list[str | None]:
             steepest[i] = float(np.argmax(rings[: max(1, round(contact.radius_px))])) / press.ball_radius_px
     all_ = bool(steepest) and float(np.median(list(steepest.values()))) >= STEEPEST_RING
     return [
-        f"contact radius {press.found.radius_px:.1f} px is that of the ball ({press.ball_radius_px:.1f} px) or more, and "
-        f"the gel is steepest {steepest[i]:.2f} ball radii from its center: ball diameter or mm_per_px is wrong"
+        f"contact radius {press.found.radius_px / press.ball_radius_px:.2f} times the ball's, and the gel is "
+        f"steepest {steepest[i]:.2f} ball radii from its center: ball diameter or mm_per_px is wrong"
         if i in steepest and (all_ or steepest[i] >= STEEPEST_RING)
         else None
         for i, press in enumerate(presses)

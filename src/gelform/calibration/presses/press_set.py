@@ -12,14 +12,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gelform.arrays import Array
 from gelform.calibration.geometry.measured import Geometry
 from gelform.errors import DataError, said
 from gelform.foundations.checks import check_positive, check_sensor_pitch
 from gelform.foundations.files import MAX_ARRAY_BYTES, bytes_of, plain_cell
-from gelform.image.view import View, pixels_digest
+from gelform.image.view import View, pixels_digest, scale_of
 from gelform.sensors.files import SensorSettings
 from gelform.sensors.profiles import check_gel_width, make_of, view_from_camera
 
@@ -96,6 +98,7 @@ class Presses:
     flats: tuple[FlatPress, ...] = ()  # presses of a flat punch, besides those of a ball
     # name of the make's profile, from sensor.toml, or from the start of the sensor's name; None if unknown
     make: str | None = None
+    reduced_by: int = 1  # pixels of the images as read along a side of one of these
 
     def __post_init__(self) -> None:
         if self.make is None:
@@ -126,6 +129,54 @@ class Presses:
     def subset(self, indices: Sequence[int]) -> Presses:
         """The same sensor with some of the presses of a ball, and all flat punches."""
         return replace(self, presses=tuple(self.presses[i] for i in indices))
+
+    def reduced(self) -> Presses:
+        """The same with means over squares of pixels, as wide as the blur of color changes leaves nothing finer.
+
+        Color changes are blurred by a length that grows with the image (`circles.find.BLUR_PX`), so images with a shorter
+        side of 480 px or more lose nothing. Smaller ones stay as they are. What lies beyond the last square is left out.
+        """
+        side = int(scale_of(self.image_shape))
+        if side < 2:
+            return self
+
+        def smaller(image: Array) -> Array:
+            height, width = (n // side for n in image.shape[:2])
+            part = image[: height * side, : width * side]
+            return np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA))
+
+        presses = [
+            replace(
+                press,
+                image=smaller(press.image),
+                label=press.label and _circle_at_scale(press.label, side),
+                center_px=press.center_px and _circle_at_scale((*press.center_px, 0.0), side)[:2],
+            )
+            for press in self.presses
+        ]
+        return replace(
+            self,
+            presses=tuple(presses),
+            flats=tuple(replace(flat, image=smaller(flat.image)) for flat in self.flats),
+            background=smaller(self.background),
+            mm_per_px=side * self.mm_per_px,
+            mm_per_px_sigma=self.mm_per_px_sigma and side * self.mm_per_px_sigma,
+            reduced_by=side * self.reduced_by,
+        )
+
+    def as_read(self, circle: Circle) -> Circle:
+        """A circle in these images, in px of the images as they were read."""
+        return _circle_at_scale(circle, 1 / self.reduced_by)
+
+    def from_read(self, circle: Circle) -> Circle:
+        """A circle in the images as they were read, in px of these."""
+        return _circle_at_scale(circle, self.reduced_by)
+
+
+def _circle_at_scale(circle: Circle, side: float) -> Circle:
+    """A circle where a pixel is `side` times as wide; centers of pixels are at integers."""
+    x, y, radius = circle
+    return (x + 0.5) / side - 0.5, (y + 0.5) / side - 0.5, radius / side
 
 
 def presses_from_simulated(made: SimulatedPresses) -> Presses:

@@ -249,13 +249,13 @@ def learning_curve(
     accepted = [i for i, row in enumerate(calibration.report.presses) if row.accepted]
     if not NEEDED.learning_curve.met(len(accepted)):
         return None
-    own = presses.subset(accepted)
+    own = presses.subset(accepted).reduced()
     ratio = calibration.settings["contact_radius_ratio"]
     prepared = [replace(press, contact_radius_ratio=ratio) for press in prepare(own)]
     rows = [calibration.report.presses[i] for i in accepted]
+    of_rows = (own.from_read((row.center_x_px, row.center_y_px, row.contact_radius_px)) for row in rows)
     circles = tuple(
-        replace(one.found, x_px=row.center_x_px, y_px=row.center_y_px, radius_px=row.contact_radius_px)
-        for one, row in zip(prepared, rows)
+        replace(one.found, x_px=x, y_px=y, radius_px=radius) for one, (x, y, radius) in zip(prepared, of_rows)
     )
     refined = Refined(circles, (None,) * len(circles), None)
     located = Located(own, prepared, refined)

@@ -174,6 +174,12 @@ class ForwardResponse(Stored):
         covariance = self.covariance / np.outer(usual, usual)
         return replace(self, nodes=nodes, covariance=covariance)
 
+    def at_size(self, shape: tuple[int, int], wider: float) -> ForwardResponse:
+        """As `ColorModel.at_size`."""
+        nodes = nodes_at_scale(self.nodes, self.shape, wider, shape)
+        nodes[:, :, -3:] *= wider  # depth is in pixels
+        return replace(self, nodes=nodes, shape=shape)
+
     @cached_property
     def slope_per_change(self) -> float:
         """Error of a slope at rest, mm/mm, for an error of 1 of the color change: the median over the image."""

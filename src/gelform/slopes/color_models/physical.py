@@ -16,7 +16,7 @@ is linear in the normal, with a separate light matrix at every pixel.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -266,6 +266,10 @@ class NearLightModel(Stored, Untuned):
         fit = scipy.optimize.least_squares(residuals, free, jacobian, loss="soft_l1", f_scale=0.05, **limits)
         positions, mixture, exponent = _unpacked(fit.x, crosstalk, response)
         return cls(positions * max(samples.shape) / 2, mixture, falloff, exponent, samples.shape)
+
+    def at_size(self, shape: tuple[int, int], wider: float) -> NearLightModel:
+        """As `ColorModel.at_size`."""
+        return replace(self, positions_px=self.positions_px / wider, shape=shape)
 
     def positions_mm(self, mm_per_px: float) -> Numbers:
         """Positions (3, 3) of the lights, mm from the point of the gel at the image's center."""

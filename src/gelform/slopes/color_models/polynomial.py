@@ -222,6 +222,10 @@ class HierarchicalModel(Stored):
         nodes = nodes_at_scale(self.nodes, self.shape, wider)
         return replace(self, nodes=nodes * np.stack(factors, axis=-1)[..., None])
 
+    def at_size(self, shape: tuple[int, int], wider: float) -> HierarchicalModel:
+        """As `ColorModel.at_size`."""
+        return replace(self, nodes=nodes_at_scale(self.nodes, self.shape, wider, shape), shape=shape)
+
     def check_like(self, degree: int, shape: tuple[int, int]) -> None:
         """Raise a ValueError if a model of a degree and an image shape cannot start from this one."""
         if (self.degree, tuple(self.shape)) != (degree, tuple(shape)):

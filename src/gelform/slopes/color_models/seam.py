@@ -7,7 +7,7 @@ in the place, or lie at the nodes of a coarse grid and are bilinear between them
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from itertools import combinations_with_replacement
 from types import NoneType
@@ -64,6 +64,10 @@ class ColorModel(Protocol):
         """Everything that does not depend on the frame, computed once."""
         ...
 
+    def at_size(self, shape: tuple[int, int], wider: float) -> ColorModel:
+        """The model for images (H, W) of the same gel, whose pixels are `wider` times as wide."""
+        ...
+
     def to_arrays(self) -> tuple[dict[str, Array], dict[str, Any]]:
         """Arrays and JSON-able settings, from which `from_arrays` makes the model again."""
         ...
@@ -111,6 +115,11 @@ class Stored:
                     value = tuple(value)
                 values[name] = value
         return cls(**values)
+
+    def at_size(self: T, shape: tuple[int, int], wider: float) -> T:
+        """As `ColorModel.at_size`, of a record without other fields in pixels."""
+        own = {"shape": shape} if any(name == "shape" for name, *_ in _fields(type(self))) else {}
+        return replace(self, **own)  # type: ignore[type-var]  # a dataclass, as all of them
 
 
 def _fields(record: type) -> Iterator[tuple[str, Any, bool]]:
@@ -164,6 +173,10 @@ class StartableModel(ColorModel, Protocol):
 
         Its pixels are `wider` times as wide on the gel.
         """
+        ...
+
+    def at_size(self, shape: tuple[int, int], wider: float) -> StartableModel:
+        """As `ColorModel.at_size`."""
         ...
 
     @classmethod
@@ -421,17 +434,21 @@ def interpolation(x_px: Array, y_px: Array, shape: tuple[int, int]) -> tuple[Any
     return tuple(found)
 
 
-def nodes_at_scale(nodes: Array, shape: tuple[int, int], wider: float) -> Numbers:
-    """Nodes (rows, columns, ...) for images (H, W) whose pixels are `wider` times as wide on the gel.
+def nodes_at_scale(
+    nodes: Array, shape: tuple[int, int], wider: float, new: tuple[int, int] | None = None
+) -> Numbers:
+    """Nodes (rows, columns, ...) of images (H, W), for images of that or a new shape with pixels `wider` times as wide.
 
     Each place is read where it lies in mm from the image's center; places outside the first image are read at its border.
     """
+    new = shape if new is None else new
     rows, columns = (
-        np.clip((n - 1) / 2 + wider * (at - (n - 1) / 2), 0, at[-1])
-        for at, n in zip(node_positions(shape), shape)
+        np.clip((n - 1) / 2 + wider * (at - (m - 1) / 2), 0, own[-1])
+        for at, own, n, m in zip(node_positions(new), node_positions(shape), shape, new)
     )
     y, x = (axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij"))
-    return at_pixels(nodes, *interpolation(x, y, shape)).reshape(np.shape(nodes))
+    found = at_pixels(nodes, *interpolation(x, y, shape))
+    return found.reshape(len(rows), len(columns), *np.shape(nodes)[2:])
 
 
 def at_pixels(nodes: Array, row: Any, v: Any, column: Any, u: Any) -> Numbers:

@@ -341,6 +341,11 @@ class InterpolationModel(Stored, Untuned):
         gradients, sigma = (part.reshape(*self.shape, 2).astype(np.float32) for part in found)
         return gradients, sigma
 
+    def at_size(self, shape: tuple[int, int], wider: float) -> InterpolationModel:
+        """As `ColorModel.at_size`."""
+        x, y = ((at + 0.5) / wider - 0.5 for at in (self.x_px, self.y_px))
+        return replace(self, x_px=x, y_px=y, shape=shape)
+
     @cached_property
     def _tree(self) -> Any:
         return scipy.spatial.cKDTree(self._features(self.color, self.x_px, self.y_px))
