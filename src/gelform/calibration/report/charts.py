@@ -10,8 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gelform.arrays import Array, Numbers
+from gelform.slopes.sigma import ONE_SIGMA
 
-SHARE_RIGHT, SHARE_FAIR = (60, 76), 45  # % within one sigma; 68 is right, and above it a sigma is only wide
+RIGHT_PERCENT = round(100 * ONE_SIGMA)  # within one sigma
+SHARE_RIGHT, SHARE_FAIR = (
+    (60, 76),
+    45,
+)  # % within one sigma that are good, or fair; above, a sigma is only wide
+TICKS = 8  # steps of an axis, at most
 Ticks = Sequence[float] | Array
 
 
@@ -53,7 +59,7 @@ def gain_axes(gain: dict[str, Any]) -> Axes | None:
     low = np.floor(min([b["gain"] for b in bins] + [0.8]) * 10) / 10
     high = np.ceil(max([b["gain"] for b in bins] + [1.2]) * 10) / 10
     end = max(b["slope_to"] for b in bins)
-    return Axes((0, end), (low, high), _slope_ticks(end), np.round(np.arange(low, high + 0.01, 0.1), 1))
+    return Axes((0, end), (low, high), round_ticks(0, end), round_ticks(low, high))
 
 
 def middles(bins: Sequence[dict[str, Any]]) -> list[float]:
@@ -66,11 +72,19 @@ def sigma_axes(sigma: dict[str, Any]) -> Axes | None:
     if not sigma["by_slope"]:
         return None
     end = sigma["by_slope"][-1]["slope_to"]
-    return Axes((0, end), (0, 100), _slope_ticks(end), (0, 20, 40, 60, 80, 100))
+    return Axes((0, end), (0, 100), round_ticks(0, end), round_ticks(0, 100))
 
 
-def _slope_ticks(end: float) -> Numbers:
-    return np.round(np.arange(0, end + 0.01, 0.2), 1)
+def round_above(value: float) -> float:
+    """The least of 1, 2 and 5 times a power of ten that is not below a value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(next(step * power for step in (1, 2, 5, 10) if step * power >= value))
+
+
+def round_ticks(low: float, high: float) -> Numbers:
+    """Ticks at round steps from a round value on."""
+    step = round_above((high - low) / TICKS)
+    return low + step * np.arange(int((high - low) / step + 0.5) + 1)
 
 
 def learning_axes(learning: dict[str, Any]) -> Axes:
@@ -79,16 +93,14 @@ def learning_axes(learning: dict[str, Any]) -> Axes:
     end = expected["presses_now"] + expected["presses_more"]
     highest = max(max(p["draws_deg"]) for p in points)
     top = float(np.ceil(min(highest, 3 * points[-1]["mean_deg"] + 4)))
-    step = next(s for s in (5, 10, 20, 50, 100, 200, 500) if end / s <= 9)
-    x_ticks, y_ticks = np.arange(0, end * 1.04, step), np.arange(0, top + 0.1, 1 if top <= 8 else 2)
-    return Axes((0, end * 1.04), (0, top), x_ticks, y_ticks)
+    return Axes((0, end), (0, top), round_ticks(0, end), round_ticks(0, top))
 
 
 def learning_law(learning: dict[str, Any], axes: Axes) -> str:
     """The points of the fitted law, as far as it lies in the plot."""
     expected = learning["expected"]
     now = expected["presses_now"]
-    presses = np.linspace(min(10, now), now + expected["presses_more"], 60)
+    presses = np.arange(min(10, now), now + expected["presses_more"] + 1)
     law = np.sqrt(expected["floor_deg"] ** 2 + expected["square_slope_deg2"] / presses)
     inside = law <= axes.y_range[1]
     return axes.points(presses[inside].tolist(), law[inside].tolist())
@@ -125,20 +137,19 @@ def cells_of(grid: dict[str, Any], shape: Sequence[int], width: int) -> Iterator
 
 def petal(cell: Cell, k: int, directions: int) -> str:
     """The path of one sector of a rose; octant 0 points to the right, 2 downwards."""
-    (x, y), radius = cell.middle, 0.44 * min(cell.width, cell.height)
-    ends = [2 * np.pi * (k + side) / directions for side in (-0.45, 0.45)]
+    (x, y), radius = cell.middle, min(cell.width, cell.height) / 2
+    ends = [2 * np.pi * (k + side) / directions for side in (-0.5, 0.5)]
     (x0, y0), (x1, y1) = ((x + radius * np.cos(a), y + radius * np.sin(a)) for a in ends)
     return f"M{x:.1f} {y:.1f}L{x0:.1f} {y0:.1f}A{radius:.1f} {radius:.1f} 0 0 1 {x1:.1f} {y1:.1f}Z"
 
 
 def scale_of_errors(errors: dict[str, Any]) -> float:
-    """The RMS slope error of the map's darkest shade; an arrow of this length spans 0.9 of a cell."""
+    """The RMS slope error of the map's darkest shade; an arrow of this length spans a cell."""
     known = [rms for rms in errors["rms"] if rms is not None]
     return float(max(np.quantile(known, 0.95), 1e-6)) if known else 1.0
 
 
 def arrow(cell: Cell, mean: Sequence[float], limit: float) -> tuple[float, float]:
-    """The end (x, y) of the arrow of a mean error, from the cell's middle."""
-    scale = 0.9 * min(cell.width, cell.height) / limit
-    scale *= min(1.0, 50 / max(math.hypot(*mean) * scale, 1e-9))  # at most 50 px long
+    """The end (x, y) of the arrow of a mean error, from the cell's middle: at most a cell away."""
+    scale = min(cell.width, cell.height) / max(limit, math.hypot(*mean))
     return cell.middle[0] + mean[0] * scale, cell.middle[1] + mean[1] * scale

@@ -26,17 +26,20 @@ from gelform.calibration.coverage import (
 from gelform.calibration.held_out import at_pixels, by_press
 from gelform.calibration.inputs import MOST_SIGMAS, REMEDY
 from gelform.calibration.presses.press_set import Presses
-from gelform.calibration.report.charts import SHARE_FAIR, SHARE_RIGHT
+from gelform.calibration.report.charts import RIGHT_PERCENT, SHARE_FAIR, SHARE_RIGHT
 from gelform.calibration.report.record import CalibrationReport, PressReport
 from gelform.calibration_file import Calibration
 from gelform.errors import counted
+from gelform.image.view import DARK
 from gelform.reconstruct import Reconstructor
 from gelform.result.metrics import angle_deg
 from gelform.sensors.profiles import scale_off_make
-from gelform.slopes.sigma import MIN_IN_BIN, ONE_SIGMA
+from gelform.slopes.sigma import MIN_IN_BIN, ONE_SIGMA, SATURATED_FROM
 
 SLOPE_EDGES = tuple(round(0.1 * k, 1) for k in range(13))
 BOOTSTRAPS = 1000  # draws of presses, for intervals
+OVERALL = 200  # pixels that the overall error counts as, where a tile has few
+INTERVAL = 2.5, 97.5  # %, the ends of a 95 % interval
 
 
 def _bins_of(slope: Array) -> Iterator[tuple[dict[str, float], Mask]]:
@@ -87,7 +90,7 @@ def gain_curve(pixels: Array, rng: np.random.Generator) -> list[dict[str, Any]]:
                 "slope_from": low,
                 "slope_to": high,
                 "gain": float(projected.sum() / square.sum()),
-                "interval": [float(v) for v in np.percentile(gains, (2.5, 97.5))],
+                "interval": [float(v) for v in np.percentile(gains, INTERVAL)],
                 "presses": int(np.count_nonzero(count)),
                 "pixels": int(count.sum()),
             }
@@ -106,13 +109,13 @@ def error_map(pixels: Array, shape: tuple[int, int], grid: tuple[int, int]) -> d
 
 
 def square_error_by_direction(pixels: Array, shape: tuple[int, int], tiles: tuple[int, int]) -> Numbers:
-    """(rows, columns, 8) mean square slope error, drawn to the overall mean, which counts as 200 pixels."""
+    """(rows, columns, 8) mean square slope error, drawn to the overall mean, which counts as some pixels."""
     size = tiles[0] * tiles[1] * DIRECTIONS
     index = tile_of(pixels["x_px"], pixels["y_px"], shape, tiles) * DIRECTIONS + direction_of(pixels["true"])
     square = ((pixels["solved"] - pixels["true"]).astype(np.float64) ** 2).sum(axis=1)
     total, count = np.bincount(index, square, size), np.bincount(index, minlength=size)
     overall = total.sum() / count.sum() if count.any() else 1.0
-    mean: Numbers = (total + 200 * overall) / (count + 200)
+    mean: Numbers = (total + OVERALL * overall) / (count + OVERALL)
     return mean.reshape(*tiles, DIRECTIONS)
 
 
@@ -227,12 +230,12 @@ LIMITS = (
     Limit("cap_free_um", "depth error in the contact, held out", "µm", 20, 40, False,
           "Look for a pattern in the depth pictures: dust, a shadow, a scratch. {press} at the places marked 1, 2, 3."),
     Limit("narrow_percent", "uncertainty too small, share within it below 68 %", "points",
-          68 - SHARE_RIGHT[0], 68 - SHARE_FAIR, False,
+          RIGHT_PERCENT - SHARE_RIGHT[0], RIGHT_PERCENT - SHARE_FAIR, False,
           "{press} at the places marked 1, 2, 3. Until then, errors are larger than stated where the share is low."),
     Limit("ball_sizes", "ball sizes", "", 2, 1, True,
           "Add presses of a second ball of another size. One size alone cannot show a wrong slope scale."),
     Limit("wide_percent", "uncertainty too large, share within it above 68 %", "points",
-          SHARE_RIGHT[1] - 68, math.inf, False,
+          SHARE_RIGHT[1] - RIGHT_PERCENT, math.inf, False,
           "Use it. Some slopes are better than their stated uncertainty."),
     Limit("scale_percent", "uncertainty of the scale", "%", 1, 3, False,
           "Measure mm_per_px on an object of known size. Write it into sensor.toml, together with mm_per_px_sigma."),
@@ -463,7 +466,7 @@ def _figures(rows: Sequence[PressReport], rng: np.random.Generator) -> dict[str,
 def interval_of(values: Numbers, middle: Callable[..., Numbers], rng: np.random.Generator) -> list[float]:
     """95 % bootstrap interval of a mean or median over presses."""
     drawn = values[rng.integers(0, values.size, size=(BOOTSTRAPS, values.size))]
-    return [float(v) for v in np.percentile(middle(drawn, axis=1), (2.5, 97.5))]
+    return [float(v) for v in np.percentile(middle(drawn, axis=1), INTERVAL)]
 
 
 def _facts(presses: Presses, calibration: Calibration) -> dict[str, Any]:
@@ -489,8 +492,8 @@ def _background(calibration: Calibration) -> dict[str, Any]:
     return {
         "mean": [float(v) for v in background.mean(axis=(0, 1))],
         "noise": [float(v) for v in calibration.background_noise],
-        "saturated_percent": float(100 * np.mean((background >= 254.5).any(axis=-1))),
-        "dark_percent": float(100 * np.mean((background < 5).any(axis=-1))),
+        "saturated_percent": float(100 * np.mean((background >= SATURATED_FROM).any(axis=-1))),
+        "dark_percent": float(100 * np.mean((background < DARK).any(axis=-1))),
         "untouched_change": float(calibration.untouched_change),
     }
 

@@ -20,10 +20,11 @@ from gelform.calibration.report.content import limit_in_words, shown
 from gelform.calibration.report.record import FIGURES, setting_in_words, used_in_words
 from gelform.calibration_file import Calibration
 
-# px, widths of a press's picture; the first that the budget allows is used.
-WIDTHS_PX = (320, 240, 160, 112, 80, 56)
-TILE_PX = 56  # px of a picture of depth minus cap
-HIGH, LOW = (214, 69, 65), (40, 110, 200)  # RGB of depth above and below the ball
+WIDTHS_PX = tuple(
+    320 // n for n in (1, 2, 4, 8)
+)  # of a press's picture; the first that the budget allows is used
+TILE_PX = WIDTHS_PX[-1]  # of a picture of depth minus cap
+HIGH, LOW = (255, 0, 0), (0, 0, 255)  # RGB of depth above and below the ball
 
 
 def short_names(names: Sequence[str], length: int = 28) -> list[str]:
@@ -44,8 +45,7 @@ def jpeg_url(image: Image, width_px: int) -> str:
     if width > width_px:
         size = (width_px, max(1, round(height * width_px / width)))
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    settings = [int(cv2.IMWRITE_JPEG_QUALITY), 82]
-    _, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), settings)
+    _, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]))
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 
@@ -61,8 +61,7 @@ def press_urls(images: Sequence[Image], budget_bytes: int = 1_300_000) -> list[s
 def cap_scale_um(maps: Sequence[Map]) -> float:
     """The depth error of the tiles' full color: a round figure that few pixels exceed."""
     typical = float(np.nanquantile(np.abs(np.concatenate([one[::2, ::2].ravel() for one in maps])), 0.97))
-    power = 10.0 ** np.floor(np.log10(max(typical, 1e-3)))
-    return float(next(step * power for step in (1, 1.5, 2, 3, 5, 7, 10) if step * power >= typical))
+    return charts.round_above(max(typical, 1e-3))
 
 
 def cap_url(error_um: Map, scale_um: float) -> str:
@@ -90,7 +89,7 @@ def templates() -> jinja2.Environment:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    opacity = (0, 0.3, 0.55, 0.85)  # of a petal that no, one, two, three or more presses show
+    opacity = [k / 3 for k in range(4)]  # of a petal that no, one, two, three or more presses show
     environment.globals |= {"charts": charts, "support_opacity": opacity}
     filters: dict[str, Any] = {
         "deg": lambda value: "–" if value is None else f"{value:.2f}°",
@@ -142,7 +141,7 @@ def report_page(content: dict[str, Any], presses: Presses, calibration: Calibrat
         tiles=[{"row": row, "name": name, "url": url} for row, name, url in zip(rows, names, urls)],
         worse_deg=2 * float(np.median(errors)) if errors else np.inf,
         caps=caps,
-        background_url=jpeg_url(background, width_px=320),
+        background_url=jpeg_url(background, width_px=WIDTHS_PX[0]),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -179,7 +180,7 @@ def setting_in_words(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     text = "none" if value in (None, "") else str(value)
-    is_digest = len(text) == 64 and set(text) <= set("0123456789abcdef")
+    is_digest = len(text) == 2 * sha256().digest_size and set(text) <= set("0123456789abcdef")
     return f"{text[:DIGEST_SHOWN]}…" if is_digest else text
 
 
@@ -230,6 +231,7 @@ def summary(errors: list[PressErrors]) -> dict[str, float]:
 
 DRAWS = 3  # draws of presses for each size
 MORE = 10  # presses, whose gain is predicted
+HELPS = 0.03  # fraction of the error, from which on a gain is worth saying
 
 
 def learning_curve(
@@ -303,7 +305,8 @@ def held_out_count(accepted: int) -> int:
 def sizes_for(accepted: int) -> list[int]:
     """Numbers of training presses; the last one is all that are not held out."""
     most = accepted - held_out_count(accepted)
-    return [size for size in (5, 10, 15, 20, 30, 45, 70, 100, 150) if size < 0.9 * most] + [most]
+    doubled = [NEEDED.started.presses * 2**k for k in range(most.bit_length())]
+    return [size for size in doubled if size < most] + [most]
 
 
 def candidates_of(calibration: Calibration, presses: int, start: Start | None) -> list[Candidate]:
@@ -345,8 +348,9 @@ def _with_expectation(points: list[dict[str, Any]], accepted: int) -> dict[str, 
     now, later, (floor, slope) = _expected(used, accepted, None)
     without = [_expected(used, accepted, draw) for draw in range(DRAWS)]
     gains = [1 - late / soon for soon, late, _ in without]
-    # The help of more presses, a gain of over 3 %, is believed only if leaving out any draw gives the same.
-    help_ = "would help" if min(gains) > 0.03 else "would not help much" if max(gains) <= 0.03 else "may help"
+    # The help of more presses is believed only if leaving out any draw gives the same.
+    helped = {gain > HELPS for gain in gains}
+    help_ = "may help" if len(helped) > 1 else "would help" if True in helped else "would not help much"
     return {
         "points": points,
         "held_out_presses": held_out_count(accepted),
