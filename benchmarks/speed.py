@@ -103,7 +103,6 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         "errors of depth": (fixed, "depth_sigma"),
         "sigma of depth": (DepthErrors, "sigma"),
         "contact": (PreparedContact, "__call__"),
-        "pressed background": (PreparedContact, "pressed_background"),
         "color around the contact": (today, "surround"),
     }
     calls: dict[str, Callable[[], Any]] = {}
