@@ -50,7 +50,8 @@ static inline struct response next_power(struct response r, lanes y, struct in_x
 // yyyy, z, zx, zy. Horner's scheme, in x for each power of y and in y, from the highest power down: a quarter fewer products
 // than monomials take, and nothing to keep but what registers hold.
 static inline struct response response_of(const float *first, const float *step, lanes x, lanes y, lanes z) {
-#define K(t) (first[(t) * CHANNELS] + RAMP * step[(t) * CHANNELS])
+#define K(t) (first[(t) * CHANNELS] + along * step[(t) * CHANNELS])
+  const lanes along = along_block();
   const lanes quartic = K(13);
   const struct in_x cubic = linear(x, K(12), K(8));
   struct response r = {quartic * y + cubic.value, cubic.slope, quartic};

@@ -25,6 +25,7 @@ static void slopes_of_row(const struct hierarchical *m, ptrdiff_t y, ptrdiff_t f
                           float *gradients) {
   const ptrdiff_t stride = padded_width(m->w), terms = m->terms;
   const int32_t *parents = m->parents;
+  const lanes along = along_block();
   lanes products[MAX_TERMS];
   coefficients_of_row(&m->grid, y, first, count);
   planes_of_row(change, m->planes, count, stride);
@@ -34,8 +35,8 @@ static void slopes_of_row(const struct hierarchical *m, ptrdiff_t y, ptrdiff_t f
     for (ptrdiff_t t = 0; t < terms; t++) {
       const lanes product = next_monomial(parents + 2 * t, m->planes + start, stride, products, t);
       const float *ramp = ramps + 4 * t;
-      p += product * (ramp[0] + RAMP * ramp[1]);
-      q += product * (ramp[2] + RAMP * ramp[3]);
+      p += product * (ramp[0] + along * ramp[1]);
+      q += product * (ramp[2] + along * ramp[3]);
     }
     if (count - start >= PIXELS) store_in_turn(gradients + 2 * start, p, q);
     else row_of_slopes((const float *)&p, (const float *)&q, gradients + 2 * start, count - start);

@@ -49,7 +49,11 @@ static inline void steps_of_row(const struct node_grid *g, float *restrict steps
   memset(steps + inner, 0, sizeof(float) * (size_t)g->count);
 }
 
-static const lanes RAMP = {0,      0.0625, 0.125,  0.1875, 0.25,  0.3125, 0.375,  0.4375,
-                           0.5,    0.5625, 0.625,  0.6875, 0.75,  0.8125, 0.875,  0.9375};
+// How far each pixel of a block is on its way to the next node; the compiler makes a constant of it.
+static inline lanes along_block(void) {
+  lanes along;
+  for (int k = 0; k < LANES; k++) along[k] = (float)k / PIXELS;
+  return along;
+}
 
 #endif

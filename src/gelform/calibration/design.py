@@ -249,7 +249,7 @@ def design_picture(results: Sequence[DesignResult]) -> NDArray[np.uint8]:
         ("slope noise of a pixel", [r.slope_sigma for r in results]),
         ("condition of the lights", [r.condition for r in results]),
     )
-    figure = canvas(2.3 * len(results) + 0.8, 6.2)
+    figure = canvas(3 * len(results), 2 * len(rows))
     axes = figure.subplots(len(rows), len(results), squeeze=False)
     for row, (label, values) in enumerate(rows):
         low = np.nanmin([np.nanmin(v) for v in values])
@@ -261,10 +261,10 @@ def design_picture(results: Sequence[DesignResult]) -> NDArray[np.uint8]:
             if row == len(rows) - 1:
                 _draw_leds(axes[row, column], result)
             axes[row, column].set_xlabel(f"median {np.nanmedian(value):.3g}", fontsize=8)
-        figure.colorbar(drawn, ax=list(axes[row]), label=label, shrink=0.85)
+        figure.colorbar(drawn, ax=list(axes[row]), label=label)
     for column, result in enumerate(results):
         title = f"{result.name}\n{result.depth_rmse_um:.0f} ± {result.depth_rmse_se_um:.0f} um, {result.normal_deg:.1f}°"
-        axes[0, column].set_title(title, fontsize=9)
+        axes[0, column].set_title(title, fontsize=8)
     return pixels_of(figure)
 
 
@@ -276,5 +276,5 @@ def _draw_leds(axes: Any, result: DesignResult) -> None:
         color = np.asarray(led.color) / max(led.color)
         axes.plot(x, y, "o", color=tuple(color), markersize=4, markeredgecolor="black", markeredgewidth=0.5)
     places = np.abs([led.position_mm for led in result.sensor.leds])
-    x, y = 1.1 * max(width, places[:, 0].max()), 1.1 * max(height, places[:, 1].max())
+    x, y = (1.1 * max(size, at.max()) for size, at in zip((width, height), places.T))
     axes.set(xlim=(-x, x), ylim=(y, -y))

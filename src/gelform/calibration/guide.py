@@ -60,6 +60,8 @@ from gelform.sensors.record import named_by_time
 from gelform.sensors.simulated import SimulatedSource
 from gelform.sensors.source import Source
 
+TOUCHED = 0.002  # fraction of the pixels that the lightest touch changes
+
 
 class TakenPresses:
     """Writes a press folder image by image, so that a later failure loses no image.
@@ -98,7 +100,7 @@ class TakenPresses:
         if self._rest is None:
             raise DataError("Expected the background before the presses.")
         change = np.abs(image_from_frame(image, self._view) - self._rest)
-        if (change > self._limit).any(axis=-1).mean() < 0.002:  # of the pixels
+        if (change > self._limit).any(axis=-1).mean() < TOUCHED:
             raise DataError("Nothing is pressed: the image shows the gel at rest.")
         name = f"images/{self.count:04d}.png"
         self._write(name, picture_bytes(image))
@@ -248,7 +250,7 @@ class Judge:
             return "The press is too far outside. Press at the circle."
         if radius < 9.0 * self._scale:  # px at 240 rows
             return "The press is too light. Press a little harder."
-        if radius > 0.87 * self._ball_px:  # pressed in by half the radius
+        if radius > np.sqrt(3) / 2 * self._ball_px:  # pressed in by half the radius
             return "The press is too deep, or the ball has another size. Press at most half the ball's radius deep."
         if any(np.hypot(x - ax, y - ay) < 0.4 * max(radius, ar) for ax, ay, ar in accepted):
             return "You pressed here before. Press at the circle."
@@ -256,9 +258,9 @@ class Judge:
 
 
 def _largest(change: NDArray[np.float32]) -> float:
-    """The size that a five-hundredth of a color change's pixels exceed; a touch covers at least as many."""
+    """The size that a touch's fewest pixels exceed."""
     size = np.abs(change).max(axis=-1)
-    rank = size.size - size.size // 500 - 1
+    rank = size.size - int(TOUCHED * size.size) - 1
     return float(np.partition(size, rank, axis=None)[rank])
 
 

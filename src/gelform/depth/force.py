@@ -426,7 +426,7 @@ def calibrate_force(
     if normal is None and shear is None and torsion is None:
         raise DataError("Expected loads: a column force_n, or force_x_n and force_y_n.")
     k = KNOWN_K if normal is None or sure_of_unit else normal.weights[0][0]
-    for unit, per_newton in (("grams", 1000 / 9.80665), ("kilograms", 1 / 9.80665)):
+    for unit, per_newton in (("grams", 1000 / scipy.constants.g), ("kilograms", 1 / scipy.constants.g)):
         if np.log(k / KNOWN_K) / np.log(per_newton) > 0.5:  # nearer to that unit than to newtons
             raise DataError(
                 f"The loads look like {unit}: {k:.3g} of their unit for each mm^3, where newtons give about {KNOWN_K:g}. "

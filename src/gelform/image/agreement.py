@@ -141,7 +141,7 @@ def orientation_from_blocks(image: Map, untouched: Map) -> Orientation | None:
     narrowed = np.linalg.slogdet(normal)[1] - np.log(prior).sum()
     unusual = np.array([one.order not in USUAL_ORDERS for one in fitting])
     # Of each reading, in nats; few programs exchange other channels than red and blue.
-    evidence = explained - apart - 1.5 * narrowed - MARGIN * unusual
+    evidence = explained - apart - 3 / 2 * narrowed - MARGIN * unusual  # 3 channels
     order = np.argsort(evidence)[::-1]
     first = evidence[order[0]]
     unexplained = float(ALIKE * _log_likelihoods(change[lit])[1].mean())  # if no reading explains the image
@@ -269,8 +269,8 @@ def _log_likelihoods(residual: Numbers) -> list[Numbers]:
     return [-square / (2 * sigma**2) - 3 * np.log(sigma) for sigma in (REST_SIGMA, TOUCHED_SIGMA)]
 
 
-# Gain of the brightness: outside the first range a new background is requested, outside the second the image is refused.
-RATIO_WARN, RATIO_REFUSE = (0.9, 1.1), (0.7, 1.4)
+# Gain of the brightness, or its inverse: below the first a new background is requested, below the second it is refused.
+RATIO_WARN, RATIO_REFUSE = 0.9, 0.7
 # Fraction of the brightness, and gray levels of room light; a smaller difference is compensated without a finding.
 GAIN_REPORTED, ROOM_REPORTED = 0.02, 3.0
 # Smallest correlation over pixels at rest; with less, an image is another sensor's, or shifted.
@@ -423,7 +423,7 @@ def _refuse_unlike(light: FrameLight, correlation: float | None, own: bool) -> N
         else ("The background is not of this image", "the background")
     )
     gains = light.gain.tolist()
-    if min(gains) < RATIO_REFUSE[0] or max(gains) > RATIO_REFUSE[1]:
+    if min(gains) < RATIO_REFUSE or max(gains) > 1 / RATIO_REFUSE:
         remedy = (
             f"{OWN_CALIBRATION} Or set exposure and white balance as they were at calibration."
             if own
@@ -431,7 +431,7 @@ def _refuse_unlike(light: FrameLight, correlation: float | None, own: bool) -> N
         )
         raise CalibrationError(
             f"{what}: pixels at rest are {_times(light.gain)} times as bright as in {than} "
-            f"(expected {RATIO_REFUSE[0]}-{RATIO_REFUSE[1]}). {remedy}"
+            f"(expected {RATIO_REFUSE}-{1 / RATIO_REFUSE:.2g}). {remedy}"
         )
     if correlation is not None and correlation < CORRELATION_REFUSE:
         raise CalibrationError(
@@ -474,7 +474,7 @@ def _exposure_findings(
         return (Finding("exposure_unknown", message, light.share),)
     gains = light.gain.tolist()
     largest = max(gains, key=lambda one: abs(log(one)))
-    if min(gains) < RATIO_WARN[0] or max(gains) > RATIO_WARN[1]:
+    if min(gains) < RATIO_WARN or max(gains) > 1 / RATIO_WARN:
         message = f"Pixels at rest are {_times(light.gain)} times as bright as {whose}.{remedy}"
         return (Finding("background_ratio", message, largest),)
     if abs(largest - 1) > GAIN_REPORTED:
@@ -489,7 +489,7 @@ def _times(gain: Numbers) -> str:
 
 
 def _correlation(image: Map, untouched: Map, light: FrameLight) -> float | None:
-    """Correlation, without the light, over the 60 % of the blocks that changed least, channels together.
+    """Correlation, without the light, over the half of the blocks that changed least, channels together.
 
     None if the background image is featureless, so that nothing can correlate with it. 0 if only the image is featureless.
     """
@@ -498,7 +498,7 @@ def _correlation(image: Map, untouched: Map, light: FrameLight) -> float | None:
         scale = (1 / light.gain).astype(np.float32)
     else:
         image, scale = without_light(image, light.values), np.ones(3, dtype=np.float32)
-    last = min(int(0.6 * blocks), blocks - 1)
+    last = blocks // 2
     sums, work = np.empty(3), np.empty(2 * blocks, dtype=np.float32)
     count = _least_changed_sums(image.reshape(-1, 3), untouched.reshape(-1, 3), scale, last, work, sums)
     of_image, of_untouched, of_both = sums.tolist()

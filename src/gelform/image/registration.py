@@ -24,8 +24,9 @@ from gelform.foundations.filters import log_levels
 from gelform.foundations.information import determined_by
 from gelform.image.view import PIXEL_VARIANCE
 
-# Standard deviations of the blurs, px, coarse to fine; the first still finds a shift of about 8 px.
-BLURS_PX = (6.0, 3.0, 1.5, 1.5)
+FINEST_PX = 1.5  # px, standard deviation of the last blur
+# Of the blurs, coarse to fine, each half of the one before; the first still finds a shift of about 8 px.
+BLURS_PX = (4 * FINEST_PX, 2 * FINEST_PX, FINEST_PX, FINEST_PX)
 PRIOR_PX = 5.0  # px, standard deviation of an unknown motion at the image's corners
 # Rows and columns of blocks whose residuals count as independent; they are larger than texture.
 BLOCKS = (8, 10)

@@ -257,8 +257,9 @@ def _variances(result: Reconstruction, rows: slice, cols: slice) -> Floats:
     known = cv2.merge([one[rows, cols] for one in maps])
     cv2.patchNaNs(known, LARGEST_SIGMA)
     np.square(np.minimum(known, np.float32(LARGEST_SIGMA), out=known), out=known)
-    # What the stated sigma lacks: 0.03 of a slope, and 5 um of a depth.
-    return cv2.add(known, (0.03**2, 0.03**2, 0.005**2, 0), dst=known)
+    # What the stated sigma lacks, of a slope and of a depth (mm).
+    of_slope, of_depth = 0.03**2, 0.005**2
+    return cv2.add(known, (of_slope, of_slope, of_depth, 0), dst=known)
 
 
 FOUND, LOST, UNSURE = "found", "lost", "cannot tell yet"
@@ -458,7 +459,7 @@ def _fitted(first: TouchedSurface, second: TouchedSurface, start: Array, seen: A
         shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
         if shift < LAST_MM and turn < LAST_RAD:
             break
-        step *= min(1.0, 0.5 / max(shift, LAST_MM), 0.15 / max(turn, LAST_RAD))
+        step *= min(1.0, reach[0] / max(shift, LAST_MM), reach[-1] / max(turn, LAST_RAD))
         pose = pose_of_step(step, equations.center) @ pose
     return equations
 
@@ -485,7 +486,8 @@ def pose_covariance(surface: TouchedSurface, equations: Equations, inverse: Arra
     # Slopes off by a constant, and too steep by a factor, along x and along y; and the pull of what stays.
     common = [np.stack([np.ones_like(of), of]) @ weighted[:, k] for k, of in enumerate(surface.slopes.T)]
     response = inverse @ np.vstack([*common, _pull(surface, equations)]).T
-    factors = np.array([1, 1, 5.5, 2.8, 2.8, 1])  # of standard deviations: x, y, z, tilts, yaw
+    of_z, of_tilt = 5.5, 2.8  # factors of standard deviations
+    factors = np.array([1, 1, of_z, of_tilt, of_tilt, 1])
     covariance = sandwich * np.outer(factors, factors)
     offset, gain = 0.003, 0.02  # mm/mm, and of a slope: standard deviations of what all slopes have in common
     covariance += (response * np.square([offset, gain, offset, gain, 1])) @ response.T

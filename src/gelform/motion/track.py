@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import cv2
 import numpy as np
@@ -212,7 +213,7 @@ def mosaic(
     if not seen:
         raise GelformError("No result has both a contact and a pose, so there is no surface.")
     shape, pitch = shape_of(seen), seen[0][0].pitch
-    totals = sum((layer_of(*one, shape) for one in seen), np.zeros((6, *shape)))
+    totals = reduce(np.add, (layer_of(*one, shape) for one in seen))
     *slopes_and_depth, slope_weight, depth_weight, share = totals
     known_px = np.asarray(share > 0)
     slope_weight, depth_weight = np.maximum(slope_weight, TINY), np.maximum(depth_weight, TINY)

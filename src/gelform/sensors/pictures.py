@@ -372,8 +372,8 @@ def image_from_values(values: Array | DataError, most_pixels: float = MAX_PIXELS
     if np.array_equal(whole, values):
         return whole
     levels = np.rint(255 * values.astype(np.float64))
-    # In float16 a level over 255 is off by 0.13 gray levels at most.
-    if values.min() >= 0 and values.max() <= 1 and np.abs(levels - 255.0 * values).max() <= 0.13:
+    most = 255.0 * float(np.finfo(np.float16).epsneg)  # that a level over 255 is off in float16
+    if values.min() >= 0 and values.max() <= 1 and np.abs(levels - 255.0 * values).max() <= most:
         return levels.astype(np.uint8)
     raise DataError(
         f"Expected whole numbers from 0 to 255, or such levels over 255, got {values.dtype} "

@@ -126,6 +126,7 @@ class KnownSensor:
         return sensor
 
 
+# Each figure is from the source that stands beside it.
 SENSORS = {
     "gelsight-mini": KnownSensor(
         SensorProfile(

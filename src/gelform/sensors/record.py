@@ -28,7 +28,7 @@ from gelform.sensors.playback import (
     image_from_encoded,
 )
 
-MAX_ATTACHMENT_BYTES = 64 * MIB
+MAX_ATTACHMENT_BYTES = 64 * MIB  # of one file beside the frames, such as a calibration
 KEPT_FRAMES = 32  # held by the grabber for `record_frames`: bridges half a second in which the disk stalls
 
 

@@ -117,7 +117,8 @@ def _led(table: Mapping[str, Any]) -> Led:
     if "peak_nm" not in table:
         raise ValueError("Expected color = [red, green, blue] or peak_nm in every [[leds]], got one without.")
     strength = float(table.get("power", 1.0))
-    red, green, blue = simulate.led_color(float(table["peak_nm"]), float(table.get("width_nm", 25.0)))
+    width = {"width_nm": float(table["width_nm"])} if "width_nm" in table else {}
+    red, green, blue = simulate.led_color(float(table["peak_nm"]), **width)
     return Led(color=(strength * red, strength * green, strength * blue), **values)
 
 
@@ -152,7 +153,7 @@ def _frozen(value: Any) -> Any:
 RATE_HZ = 60.0  # frames a second
 IMAGE_RATE_HZ = 30.0  # images shown per second
 REST_IMAGES = 12  # images of the gel at rest before each object
-BALL = Ball(2.5)
+BALL = Ball(2.5)  # mm, radius of the ball that rolls
 ROLL_STEPS = 48  # images of one roll
 ROLL = 0.3  # distance of the rolling ball from the middle, as a fraction of the image's width and height
 STEP_MM = 0.025  # depths of requested presses are rounded to this, so that computed images can be reused
@@ -278,7 +279,7 @@ class SimulatedSource(Closing, FrameReader):
             if depth_mm <= 0:
                 return self._untouched
             return self._pressed(asked.ball, depth_mm, asked.x_px, asked.y_px)
-        images, at = self._images, int((time_s + 0.7 * self._seed) * IMAGE_RATE_HZ)  # seeds start 0.7 s apart
+        images, at = self._images, int((time_s + self._seed) * IMAGE_RATE_HZ)  # seeds start a second apart
         touch = None if self.resting else images[at % len(images)]
         return self._untouched if touch is None else self._levels_of_touch(touch)
 
@@ -301,7 +302,7 @@ class SimulatedSource(Closing, FrameReader):
         for images in self._objects[1:]:
             touches = [touch for touch in dict.fromkeys(images) if touch is not None]
             while touches:
-                if self._closed.wait(0.03):  # current frames come first
+                if self._closed.wait(1 / IMAGE_RATE_HZ):  # current frames come first
                     return
                 if not self.resting:
                     self._levels_of_touch(touches.pop(0))
@@ -313,18 +314,19 @@ def program(sensor: SimulatedSensor) -> list[list[PosedObject | None]]:
     height, width = (size * sensor.mm_per_px for size in sensor.shape)
     turn = np.linspace(0, 2 * np.pi, ROLL_STEPS, endpoint=False)
     step = np.arange(ROLL_STEPS)
-    depths_mm = 0.55 * np.minimum(1, np.minimum(step, step[::-1]) / 8)
+    depths_mm = 0.5 * np.minimum(1, np.minimum(step, step[::-1]) / 8)
     # A ball goes in, rolls once around the middle, and goes out.
     rolling = [
         Pose(max(d, 0.02), (ROLL * width * float(np.cos(a)), ROLL * height * float(np.sin(a))))
         for d, a in zip(depths_mm.tolist(), turn)
     ]
     objects = [[*[None] * REST_IMAGES, *(PosedObject(BALL, pose) for pose in rolling)]]
-    for indenter, depth_mm, steps, spin_deg, tilt_deg in (
-        (simulate.Coin(), 0.35, 14, 0.0, 0.0),
-        (simulate.Screw(), 0.45, 14, 25.0, 0.0),
-        (simulate.text_relief("gelform", height_mm=2.0), 0.3, 12, 0.0, 0.0),
-        (simulate.Torus(2.8, 0.9), 0.5, 14, 0.0, 4.0),
+    steps = round(PRESS_S * IMAGE_RATE_HZ)
+    for indenter, depth_mm, spin_deg, tilt_deg in (
+        (simulate.Coin(), 0.35, 0.0, 0.0),
+        (simulate.Screw(), 0.45, 25.0, 0.0),
+        (simulate.text_relief("gelform", height_mm=2.0), 0.3, 0.0, 0.0),
+        (simulate.Torus(2.8, 0.9), 0.5, 0.0, 4.0),
     ):
         fractions = np.sin(np.linspace(0, np.pi / 2, steps + 1)[1:]) ** 2
         going_in = [

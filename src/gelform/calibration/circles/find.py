@@ -343,11 +343,12 @@ def why_no_contact(contact: ContactCircle) -> str | None:
 def contact_radius(size: Map, x_px: float, y_px: float, near_px: float | None = None) -> float:
     """Radius of the steepest descent of the ring mean of |change| about a center; near a given one if any."""
     scale, last = scale_of(size.shape), int(REACH * min(size.shape))
-    low, high = 6 * scale, last - 5 * scale
+    blur = 2 * scale
+    low, high = 3 * blur, last - 3 * blur
     if near_px is not None:
-        low, high = max(low, RIM[0] * near_px), min(high, RIM[1] * near_px + 2 * scale)
-        last = min(last, int(max(low, high) + 9 * scale) + 3)  # the blur reaches 8 px at 240 rows
-    slope = gaussian_filter1d(ring_mean(size, x_px, y_px, count=last), 2 * scale, order=1)
+        low, high = max(low, RIM[0] * near_px), min(high, RIM[1] * near_px + blur)
+        last = min(last, int(max(low, high) + 4 * blur) + 3)  # as far as the filter reaches
+    slope = gaussian_filter1d(ring_mean(size, x_px, y_px, count=last), blur, order=1)
     start, stop = int(low), max(int(low) + 1, int(high))
     peak = start + int(np.argmin(slope[start:stop]))
     return peak + parabola_offset(slope, peak)

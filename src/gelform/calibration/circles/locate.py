@@ -59,7 +59,7 @@ from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, PLAIN_MODEL
 from gelform.slopes.color_models.seam import HUBER_SLOPE, normal_equations, polynomial_terms, unit_position
 from gelform.slopes.sigma import SATURATED_FROM
 
-RINGS = np.arange(0.05, 1.001, 0.05)
+RINGS = np.arange(0.05, 1.001, 0.05)  # visible radii, the borders of rings
 # of the reading further in; with less, the gel has left the ball; .75 of .70-.80: slopes of one size by the other, and on
 # three sets
 LEAST_GAIN = 0.75

@@ -215,10 +215,10 @@ def _aligned(
 ) -> tuple[float, float] | None:
     """Sub-pixel shift (dx, dy) of b against a; None if the alignment does not converge near the start."""
     matrix = np.array([[1, 0, start[0]], [0, 1, start[1]]], dtype=np.float32)
-    stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-7)
+    stop = (cv2.TERM_CRITERIA_EPS, 0, 1e-7)
     try:
         likeness, matrix = cv2.findTransformECC(
-            np.ascontiguousarray(a), np.ascontiguousarray(b), matrix, cv2.MOTION_TRANSLATION, stop, None, 5
+            np.ascontiguousarray(a), np.ascontiguousarray(b), matrix, cv2.MOTION_TRANSLATION, stop
         )
     except cv2.error:  # raised by OpenCV if the images have nothing in common
         return None
@@ -346,9 +346,9 @@ def _points_of_grid(
     else:
         blobs: Any = cv2  # OpenCV's stubs lack its blob detector
         settings = blobs.SimpleBlobDetector_Params()
-        settings.minArea, settings.maxArea = 8.0, max(gray.size / 40, 9.0)
+        settings.minArea = 8.0
+        settings.maxArea = max(gray.size / (pattern[0] * pattern[1]), settings.minArea)
         settings.minDistBetweenBlobs = 3.0
-        settings.thresholdStep = 5.0
         detector, counts = blobs.SimpleBlobDetector_create(settings), []
         for side in (gray, 255 - gray):  # dark dots, or bright ones
             found, points = cv2.findCirclesGrid(
@@ -400,7 +400,7 @@ def _fitted(
         prior = 0.1 * (numbers[:4] - start[:4]) / [1, 1, *[0.05 * focal] * 2]
         return np.concatenate([*residuals, prior])
 
-    fitted = least_squares(off, start, x_scale="jac", method="lm", max_nfev=4000)
+    fitted = least_squares(off, start, x_scale="jac", method="lm")
     residual = np.sqrt(np.mean(fitted.fun[:-4] ** 2) * 2)
     k1, k2, x, y = (float(value) for value in fitted.x[:4])
     return Lens((focal, focal, x, y), (k1, k2)), homography(fitted.x, 0), float(residual)
@@ -428,7 +428,7 @@ def _cropped(view: View) -> View:
     assert view.frame_shape is not None
     assert view.lens is not None
     height, width = view.frame_shape
-    for fraction in np.arange(1.0, 0.5, -0.005):
+    for fraction in np.arange(1.0, 0.5, -2 / max(height, width)):
         left, top = int(np.ceil(width * (1 - fraction) / 2)), int(np.ceil(height * (1 - fraction) / 2))
         x, y = np.arange(left, width - left, dtype=float), np.arange(top, height - top, dtype=float)
         rim = np.concatenate(

@@ -84,7 +84,8 @@ def round_above(value: float) -> float:
 def round_ticks(low: float, high: float) -> Numbers:
     """Ticks at round steps from a round value on."""
     step = round_above((high - low) / TICKS)
-    return low + step * np.arange(int((high - low) / step + 0.5) + 1, dtype=np.float64)
+    count = int((high - low) / step + 0.5) + 1
+    return np.asarray(low + step * np.arange(count), dtype=np.float64)
 
 
 def learning_axes(learning: dict[str, Any]) -> Axes:

@@ -351,7 +351,7 @@ def is_grid(centers_px: Array) -> bool:
     found = scipy.spatial.cKDTree(centers_px).query(centers_px, k=min(7, len(centers_px)))
     distance, neighbor = np.asarray(found[0]), np.asarray(found[1])
     pitch = float(np.median(distance[:, 1]))
-    near = (distance[:, 1:] > 0.7 * pitch) & (distance[:, 1:] < 1.3 * pitch)
+    near = np.abs(distance[:, 1:] - pitch) < 0.3 * pitch
     if np.mean(near.sum(axis=1) >= 2) < 0.7:
         return False
     step = centers_px[neighbor[:, 1:]] - centers_px[:, None]

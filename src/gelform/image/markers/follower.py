@@ -105,7 +105,7 @@ class Neighbors:
     def __init__(self, rest_px: Array) -> None:
         self._rest = np.asarray(rest_px, dtype=np.float64)
         count = len(self._rest)
-        found = scipy.spatial.cKDTree(self._rest).query(self._rest, k=min(9, count))
+        found = scipy.spatial.cKDTree(self._rest).query(self._rest, k=min(1 + 8, count))  # itself, and eight
         distance, self._index = np.asarray(found[0])[:, 1:], np.asarray(found[1])[:, 1:]
         self.spacing_px = float(np.median(distance[:, 0]))
         # Within 1.7 spacings, and at most eight.

@@ -90,7 +90,7 @@ class Lattice:
                 enough = 1e-3 * float(np.linalg.norm(right[:, c]))
                 start = slopes[self.free, c]
                 slopes[self.free, c] = scipy.sparse.linalg.cg(
-                    normal, right[:, c], x0=start, atol=enough, maxiter=500, M=precondition
+                    normal, right[:, c], x0=start, atol=enough, M=precondition
                 )[0]
             residual = np.linalg.norm(corners @ slopes - target, axis=1)
             current = weight * np.minimum(1, HUBER_SLOPE / np.maximum(residual, 1e-12))
@@ -267,7 +267,8 @@ def _deviation(
                 scipy.ndimage.uniform_filter1d(v, 3, axis=axis, mode="constant") * 3 for v in (count, sums)
             )
     typical = float(np.average(size, weights=used))
-    variance = (sums + 20 * typical) / (count + 20)
+    prior = 20  # samples
+    variance = (sums + prior * typical) / (count + prior)
     return np.where(count >= 1, np.sqrt(variance), STEEPEST_GEL).ravel()
 
 
