@@ -94,8 +94,9 @@ def made_once(request, tmp_path_factory) -> MadeOnce:
 
 @pytest.fixture(scope="session", autouse=True)
 def _no_library_of_the_user_s(tmp_path_factory):
-    """No test looks into the library of calibrations of whoever runs it, nor writes there."""
+    """No test looks into the library of calibrations or the cache of whoever runs it, nor writes there."""
     os.environ["GELFORM_CALIBRATIONS"] = str(tmp_path_factory.mktemp("no-library"))
+    os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.mktemp("no-cache"))
 
 
 @pytest.fixture

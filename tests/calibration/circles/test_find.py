@@ -3,6 +3,7 @@
 They are held to simulated truth and to real labels.
 """
 
+import os
 from dataclasses import replace
 
 import cv2
@@ -466,3 +467,34 @@ def test_calibration_and_evaluation_of_a_marked_gel(dotted):
     circles = np.array([row["circle_px"] for row in gelform.evaluate(calibration, unseen).rows])
     true = np.array([press.center_px for press in made.presses[1::2]])
     assert np.median(np.linalg.norm(circles[:, :2] - true, axis=1)) < 1.5
+
+
+def test_a_next_try_takes_the_circles_that_an_interrupted_one_found(presses, monkeypatch, tmp_path):
+    """The same to the bit; of another image, or of a damaged file, they are found anew."""
+    few, find, count = presses.subset(range(4)), module.find_contact, [0]
+    alone = [press.found for press in prepare(few)]
+
+    def interrupted(change):
+        count[0] += 1
+        if count[0] == 3:
+            raise KeyboardInterrupt
+        return find(change)
+
+    monkeypatch.setattr(module, "find_contact", interrupted)
+    with module.circles_kept(tmp_path), pytest.raises(KeyboardInterrupt):
+        prepare(few)
+    kept = sorted(tmp_path.iterdir())
+    assert (len(kept), count[0]) == (2, 3)
+    kept[0].write_bytes(b'{"x_px": 1}')
+    with module.circles_kept(tmp_path):
+        assert [press.found for press in prepare(few)] == alone
+        assert count[0] == 6, "the damaged one and two more"
+        prepare(few)
+        brighter = replace(few.presses[0], image=np.minimum(few.presses[0].image, 250) + 1)
+        prepare(replace(few, presses=(brighter, *few.presses[1:])))
+        assert count[0] == 7
+        os.utime(kept[0], (0, 0))
+    with module.circles_kept(tmp_path):
+        assert not kept[0].exists(), "old"
+    prepare(few)
+    assert count[0] == 11, "nothing is kept unasked"

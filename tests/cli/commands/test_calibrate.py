@@ -79,17 +79,24 @@ def test_a_terminal_names_the_pixels_of_places_that_the_report_marks():
     assert all("1, 2, 3" not in _with_places(one.action, places) for one in LIMITS)
 
 
-def test_tables_are_shown_only_if_asked_for(works, folder, tmp_path):
+def test_tables_are_shown_only_if_asked_for(works, folder, tmp_path, monkeypatch):
+    """The second command takes the circles that the first one kept; `--fresh` keeps none."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     (folder / "images" / "0003.png").write_bytes((folder / "background.png").read_bytes())
     how = ("--model", "polynomial", "--overwrite", "-o", tmp_path / "cal.npz")
+    assert works("calibrate", folder, *how, "--fresh", "--quiet") == ("", "")
+    assert not list((tmp_path / "cache").rglob("*.json"))
+    fresh = load_calibration(tmp_path / "cal.npz").held_out
     out, err = works("calibrate", folder, *how)
+    assert len(list((tmp_path / "cache" / "gelform" / "circles").glob("*.json"))) == 10
+    assert fresh == load_calibration(tmp_path / "cal.npz").held_out
     assert (out, len(err.splitlines())) == ("", 6)
     assert "9 of 10 presses used" in err
     out, err = works("calibrate", folder, *how, "--verbose")
     tables = ("Rejected presses", "images/0003.png", "Color models tried", "Errors on held-out presses")
     assert all(table in out for table in tables)
     assert "note: " in err
-    assert works("calibrate", folder, *how, "--verbose", "--quiet") == ("", "")
+    assert fresh == load_calibration(tmp_path / "cal.npz").held_out
 
 
 def test_the_time_is_that_of_the_whole_command(run, folder, tmp_path, monkeypatch):

@@ -20,9 +20,15 @@ inside the contact edge, which is measured on held-out presses (`circles.locate`
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import json
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
+from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -33,7 +39,8 @@ from scipy.special import expit
 
 from gelform.arrays import Array, Map, Mask, Numbers
 from gelform.calibration.presses.press_set import Circle, Presses, check_room
-from gelform.errors import CalibrationError, Progress, no_progress
+from gelform.errors import CalibrationError, DataError, Progress, no_progress
+from gelform.foundations.files import written_file
 from gelform.foundations.filters import CHANGE_OFFSET, SIGMA_OF_MEDIAN
 from gelform.image.agreement import check_background_of_frames
 from gelform.image.background import ChangeSettings, PreparedBackground
@@ -193,7 +200,7 @@ def prepare(presses: Presses, *, progress: Progress = no_progress) -> list[Prepa
         size = magnitude(about_median(change))
         ball_px = press.ball_diameter_mm / 2 / presses.mm_per_px
         mark = press.label if press.center_px is None else (*press.center_px, None)
-        found, rest = find_contact(change), presses.background
+        found, rest = _kept_contact(change), presses.background
         prepared.append(
             PreparedPress(press.name, change, size, ball_px, found, usable, rest, mark=mark, refused=refused)
         )
@@ -288,6 +295,47 @@ def with_contacts(prepared: list[PreparedPress]) -> list[PreparedPress]:
         elif evidence >= MIN_EVIDENCE and not found[k].marked:
             found[k] = replace(found[k], x_px=x, y_px=y, radius_px=radius, evidence=evidence)
     return [replace(press, found=contact) for press, contact in zip(prepared, found)]
+
+
+_kept_in: ContextVar[Path | None] = ContextVar("kept circles", default=None)
+KEPT_S = 30 * 86400  # after which a circle is not looked for again
+
+
+@contextmanager
+def circles_kept(folder: Path | None) -> Iterator[None]:
+    """Within it, each circle that an image shows by itself is kept in a folder, and read there if it was found before.
+
+    So work that was interrupted goes on behind them. A file is named by the color change and by this code; None: nothing is
+    kept. The library does this for no one who does not ask; `gelform calibrate` asks.
+    """
+    if folder is not None:
+        for old in folder.glob("*.json"):
+            with suppress(OSError):  # another process is as tidy
+                if time.time() - old.stat().st_mtime > KEPT_S:
+                    old.unlink()
+    token = _kept_in.set(folder)
+    try:
+        yield
+    finally:
+        _kept_in.reset(token)
+
+
+def _kept_contact(change: Map) -> ContactCircle:
+    """`find_contact`, or what it found before, which is the same to the bit."""
+    folder = _kept_in.get()
+    if folder is None:
+        return find_contact(change)
+    content = sha256(f"{Path(__file__).stat().st_mtime_ns} {change.shape}".encode())
+    content.update(np.ascontiguousarray(change))
+    path = folder / f"{content.hexdigest()}.json"
+    # There is none, or what is there is none.
+    with suppress(OSError, ValueError, TypeError):
+        return ContactCircle(**json.loads(path.read_bytes()))
+    found = find_contact(change)
+    # A full disk costs the next try its start, not this one its end.
+    with suppress(DataError), written_file(path, overwrite=True, flushed=False) as handle:
+        handle.write(json.dumps(asdict(found), default=float).encode())
+    return found
 
 
 def find_contact(color_change: Map) -> ContactCircle:

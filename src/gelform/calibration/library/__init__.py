@@ -69,17 +69,24 @@ def ready_calibration(sensor: SimulatedSensor, *, progress: Progress = no_progre
 
 def kept_path(sensor: SimulatedSensor) -> Path | None:
     """The path of the cached calibration of a sensor; None if the user's cache is not writable."""
-    folder = user_cache_path("gelform", appauthor=False)
+    folder, (height, width) = cache_folder(), sensor.shape
+    return (
+        None
+        if folder is None
+        else folder / f"{sensor.name}-{height}x{width}-{__version__}-{FORMAT_VERSION}.npz"
+    )
+
+
+def cache_folder(part: str = "") -> Path | None:
+    """gelform's folder in the user's cache, or a part of it; None if it is not writable."""
+    folder = user_cache_path("gelform", appauthor=False) / part
     if not folder.is_absolute():  # a user without a home folder
         return None
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
         return None
-    if not os.access(folder, os.W_OK):
-        return None
-    height, width = sensor.shape
-    return folder / f"{sensor.name}-{height}x{width}-{__version__}-{FORMAT_VERSION}.npz"
+    return folder if os.access(folder, os.W_OK) else None
 
 
 def simulated_presses(

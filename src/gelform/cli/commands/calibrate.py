@@ -58,6 +58,9 @@ def calibrate(
     verbose: Annotated[
         bool, Option("--verbose", "-v", help="Also show rejected presses, models, held-out errors and notes.")
     ] = False,
+    fresh: Annotated[
+        bool, Option("--fresh", help="Neither use circles that an earlier try found, nor keep them.")
+    ] = False,
     overwrite: options.Overwrite = False,
     shown: ShownOption,
 ) -> None:
@@ -68,6 +71,8 @@ def calibrate(
     or --sensor; a video or a recording (*.mcap) that begins with the gel at rest; gs_sdk's and py3DCal's folders; Taxim's
     dataPack.npz. Take 20 presses all over the gel (angle error about 2 degrees). With a start, 5 do (about 2.5).
     Measure scale, lens and crosstalk first, with `gelform scale`, `gelform lens` and `gelform crosstalk`.
+    The circle found in each image is kept in your cache (gelform/circles) for a month, so that a next try, as after
+    Ctrl-C, starts behind them.
 
     \b
     Examples:
@@ -87,9 +92,12 @@ def calibrate(
     if report is not None:
         check_output(report / REPORT_FILES[0], overwrite=True)
         check_results([report / name for name in REPORT_FILES], overwrite=overwrite)
+    from gelform.calibration.circles.find import circles_kept
+    from gelform.calibration.library import cache_folder
     from gelform.calibration.report.record import used_in_words
 
-    with only_writer(output), shown.progress() as progress:
+    kept = circles_kept(None if fresh else cache_folder("circles"))
+    with only_writer(output), kept, shown.progress() as progress:
         found = gelform.read_presses(presses, **vars(given), crop=box, progress=progress)  # type: ignore[arg-type]
         given_start = None if start == "none" else start
         calibration = gelform.calibrate(
