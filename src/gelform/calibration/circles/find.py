@@ -326,7 +326,7 @@ def _kept_contact(change: Map) -> ContactCircle:
     if folder is None:
         return find_contact(change)
     content = sha256(f"{Path(__file__).stat().st_mtime_ns} {change.shape}".encode())
-    content.update(np.ascontiguousarray(change))
+    content.update(np.ascontiguousarray(change).data)
     path = folder / f"{content.hexdigest()}.json"
     # There is none, or what is there is none.
     with suppress(OSError, ValueError, TypeError):
