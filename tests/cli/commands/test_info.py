@@ -111,6 +111,9 @@ def test_a_result_and_its_image(run_json, works, calibration_file, press_folder,
     assert (said["kind"], said["size_px"]) == ("result", [120, 160])
     assert said["depth_mm"][1] == round(row["peak_mm"], 4)
     assert run_json("info", image)["size_px"] == [120, 160]
+    whole = run_json("info", tmp_path)
+    assert (whole["kind"], whole["results"]) == ("folder of results", 1)
+    assert "missing" not in whole
     out = works("info", file)[0]
     assert " mm, 0 at rest" in out
     assert "100 % of the pixels" in out
