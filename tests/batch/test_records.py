@@ -54,7 +54,7 @@ def test_no_cell_of_the_table_is_a_formula(tmp_path):
 def test_refused():
     for wrong, said in [
         ({"form": "jpg"}, "Expected a format among npz, png, zarr, hdf5, lerobot, got 'jpg'"),
-        ({"keep": ("depht",)}, "Expected maps to keep among depth, known"),
+        ({"keep": ("depht",)}, "Expected maps to keep among depth, depth_sigma"),
         ({"keep": ()}, "Expected maps to keep"),
         ({"keep": ("all", "depth")}, "Expected maps to keep"),
         ({"form": "png", "keep": ("depth", "contact")}, "Expected depth alone in 16 bits"),

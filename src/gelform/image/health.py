@@ -226,11 +226,12 @@ class Bands:
     def __init__(self, rest: ImageBlocks, pixels: Image, is_turned: bool) -> None:
         self._is_turned = is_turned  # whether the camera's rows are columns of the image
         self._rest = self._rows(rest, pixels)
-        self._can_tell = self._rest.shape[1] >= 3  # strips
+        powers = np.vander(np.linspace(-1, 1, len(self._rest)), 4, increasing=True)
+        # There are three strips at least, and more rows than the light's smooth change takes.
+        self._can_tell = self._rest.shape[1] >= 3 and powers.shape[0] > powers.shape[1]
         if not self._can_tell:
             return
         self._gray = _gray_of_thirds(self._rest)
-        powers = np.vander(np.linspace(-1, 1, len(self._rest)), 4, increasing=True)
         self._smooth = np.ascontiguousarray(np.linalg.qr(powers)[0], dtype=np.float32)
 
     def __call__(self, blocks: ImageBlocks, image: Array) -> tuple[Array, tuple[Finding, ...]]:
