@@ -539,6 +539,15 @@ def test_evaluate_takes_the_presses_that_calibrate_took(data, name):
     assert used <= {row["name"] for row in rows if row["reason"] is None}
 
 
+@pytest.mark.slow
+def test_few_presses_of_an_unknown_make_are_not_read_by_the_stiffest_fit_alone(data):
+    """By it, held-out radii of these five are off by 30 %, by the fit that held-out presses prefer by 4 %."""
+    calibration = gelform.calibrate(data / "homemade-even/b")
+    assert 0.5 < calibration.settings["own_share"] < 1
+    assert calibration.held_out["radius_percent"] < 20
+    assert calibration.held_out["normal_free_deg"] < 1
+
+
 def test_paths_are_read_and_untouched_images_cannot_be_evaluated(calibration, folder, presses, tmp_path):
     calibration.save(tmp_path / "cal.npz")
     assert gelform.evaluate(str(tmp_path / "cal.npz"), folder) == gelform.evaluate(calibration, presses)

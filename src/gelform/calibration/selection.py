@@ -1,15 +1,13 @@
 """Candidates of a calibration, the selection among them on held-out presses, and the fit of the selected one on all.
 
 A candidate is a color model with its settings, its start, and the forward response of its step. The model's own class has
-the settings to try (`variants`). "auto" is `DEFAULT_MODEL` for any number of presses: on four real sensors its errors with 8
-and 11 presses are smaller than those of a polynomial in 14 of 16 draws, with 5 in 4 of 8.
+the settings to try (`variants`). "auto" is `DEFAULT_MODEL`: on four real sensors its errors with 8 and 11 presses are smaller
+than those of a polynomial in 14 of 16 draws, with 5 in 4 of 8.
 
 For each fold of held-out presses the circles of the other presses are refined from scratch. So neither a pixel of a scored
 press nor a circle that it helped to place is ever in the model that scores it.
 
 The score is the mean logarithm of each press's slope error inside the contact edge, which one wrong circle moves little.
-Folds of under 12 presses choose nothing: the stiffest fit is taken. With a start, fits from it and without it are averaged.
-
 Reporting the scores of the selection would flatter them. So each fold's presses are reported with the candidate that the
 other folds' presses select.
 """
@@ -412,14 +410,14 @@ def select(
 
 
 def mean_of(parts: Sequence[Candidate], own_share: float) -> Candidate:
-    """The average of a candidate from a start and one without it."""
+    """The average of a candidate from a start, or the stiffest, and one without it."""
     begun, own = parts
     of_own = (*((f"own_{key}", value) for key, value in own.settings), ("own_share", own_share))
     return replace(begun, settings=begun.settings + of_own, parts=((1 - own_share, begun), (own_share, own)))
 
 
 def average(selections: Sequence[Selection], held_out: HeldOutPresses) -> Selection:
-    """The average of what was selected from a start and without it, in proportion to their likelihoods.
+    """The average of two selections, as from a start and without it, in proportion to their likelihoods.
 
     Each press is one observation, of unknown variance, so that a likelihood is the product of one over the presses' errors.
     """
@@ -460,20 +458,22 @@ def fit(
 ) -> Fitted:
     """Select the stiffness of the color model and its forward response on held-out presses, and fit both on all.
 
-    A fit from another unit's model is of its kind, and averaged with one without it. Under 12 presses choose nothing: the
-    stiffest fits are taken. `compare` tries all models and does not change the selection.
+    A fit from another unit's model is of its kind, and averaged with one without it. Under 12 presses choose nothing: these
+    two are the stiffest, and without a start it is averaged with what held-out presses prefer. `compare` tries all models and
+    does not change the selection.
     """
     accepted, start = len(located.refined.accepted), located.start
     held_out, groups = HeldOutPresses(located, folds), [candidates_for(color_model, accepted)]
     if start is not None:
         groups.insert(0, candidates_from(start, accepted))
-    if NEEDED.edge.met(accepted) or color_model not in (AUTO, DEFAULT_MODEL):
-        selections = [select(one, held_out, averaging=start is not None, progress=progress) for one in groups]
-    else:
-        stiffest = [group[0].with_steps(accepted)[0] for group in groups]
-        trials = [tuple(held_out.try_candidates([one])) for one in stiffest]
-        selections = [Selection(one, (one,) * len(folds), tried) for one, tried in zip(stiffest, trials)]
-    selection = selections[0] if start is None else average(selections, held_out)
+    few = color_model in (AUTO, DEFAULT_MODEL) and not NEEDED.edge.met(accepted)
+    stiffest = [one[0].with_steps(accepted)[0] for one in groups if few]
+    trials = [tuple(held_out.try_candidates([one])) for one in stiffest]
+    selections = [Selection(one, (one,) * len(folds), tried) for one, tried in zip(stiffest, trials)]
+    if not few or start is None:
+        averaging = few or start is not None
+        selections += [select(one, held_out, averaging=averaging, progress=progress) for one in groups]
+    selection = selections[0] if len(selections) == 1 else average(selections, held_out)
     notes: tuple[str, ...] = ()
     if compare:
         selection, notes = _compared(selection, held_out, accepted, progress)
