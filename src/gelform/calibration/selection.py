@@ -1,7 +1,7 @@
 """Candidates of a calibration, the selection among them on held-out presses, and the fit of the selected one on all.
 
 A candidate is a color model with its settings, its start, and the forward response of its step. The model's own class has
-the settings to try (`variants`). "auto" is `DEFAULT_MODEL`: on four real sensors its errors with 8 and 11 presses are smaller
+the settings to try (`variants`). "auto" is `DEFAULT_MODEL`: on four real sensors its errors with 8 and 11 presses are less
 than those of a polynomial in 14 of 16 draws, with 5 in 4 of 8.
 
 For each fold of held-out presses the circles of the other presses are refined from scratch. So neither a pixel of a scored
@@ -459,8 +459,8 @@ def fit(
     """Select the stiffness of the color model and its forward response on held-out presses, and fit both on all.
 
     A fit from another unit's model is of its kind, and averaged with one without it. Under 12 presses choose nothing: these
-    two are the stiffest, and without a start it is averaged with what held-out presses prefer. `compare` tries all models and
-    does not change the selection.
+    two are the stiffest, and without a start it is averaged with what held-out presses prefer. `compare` tries all models
+    and does not change the selection.
     """
     accepted, start = len(located.refined.accepted), located.start
     held_out, groups = HeldOutPresses(located, folds), [candidates_for(color_model, accepted)]
