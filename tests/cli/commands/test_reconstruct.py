@@ -189,6 +189,17 @@ def test_one_bad_image_does_not_stop_the_others(run, run_json, calibration_file,
     assert [one["image"] for one in said["failed"]] == [str(tmp_path / "bad.png")]
 
 
+def test_one_error_of_several_images_is_said_once(run, calibration_file, tmp_path):
+    for k in range(4):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.zeros((20 + 4 * (k == 3), 30, 3), np.uint8))
+    _, _, err = run("reconstruct", *sorted(tmp_path.glob("*.png")), "-c", calibration_file, "-o", tmp_path / "out")
+    first, other = (line for line in err.splitlines() if "error:" in line)
+    assert first.startswith(f"gelform: error: {tmp_path / '0.png'}")
+    assert "2 more images with this error" in first
+    assert f"{tmp_path / '3.png'}" in other
+    assert "more" not in other
+
+
 def test_it_goes_on_where_it_was(run, works, calibration_file, press_folder, tmp_path):
     images = [press_folder / "images" / f"000{k}.png" for k in range(3)]
     out = tmp_path / "out"

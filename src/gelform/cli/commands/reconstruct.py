@@ -155,8 +155,12 @@ def reconstruct(
                     note = f"{peak} {unit} {' '.join(one.name for one in result.health)}"
                     tiles.append((result.depth, f"{path.parent.name}/{path.stem}", note))
             progress(done + 1, len(todo), "reconstructing")
+    alike: dict[str, list[str]] = {}
     for one in failed:
-        say(f"gelform: error: {one['error']}")
+        alike.setdefault(one["error"].replace(one["image"], ""), []).append(one["error"])
+    for errors in alike.values():
+        more = f" {counted(len(errors) - 1, 'more image')} with this error: --json names them." if errors[1:] else ""
+        say(f"gelform: error: {errors[0]}{more}")
     _report(rows, shown)
     if len(images) > len(rows) and len(images) > 1:
         skipped = len(images) - len(todo)
