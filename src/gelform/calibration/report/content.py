@@ -226,7 +226,8 @@ LIMITS = (
     Limit("normal_free_deg", "angle error of the normals, held out", "°", 3, 5, False,
           "Check that exposure and light did not change. Look for cast shadows. {press} at the places marked 1, 2, 3."),
     Limit("radius_percent", "error of the ball's radius, held out", "%", 3, 6, False,
-          "Check the ball's diameter and the mm per pixel that you gave. Add presses of a second ball of another size."),
+          "Check the diameter and the mm per pixel that you gave, and that each press is of that ball: two balls under one "
+          "diameter read like this. Add presses of a second ball of another size."),
     Limit("cap_free_um", "depth error in the contact, held out", "µm", 20, 40, False,
           "Look for a pattern in the depth pictures: dust, a shadow, a scratch. {press} at the places marked 1, 2, 3."),
     Limit("narrow_percent", "uncertainty too small, share within it below 68 %", "points",
