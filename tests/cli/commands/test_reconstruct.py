@@ -192,7 +192,9 @@ def test_one_bad_image_does_not_stop_the_others(run, run_json, calibration_file,
 def test_one_error_of_several_images_is_said_once(run, calibration_file, tmp_path):
     for k in range(4):
         cv2.imwrite(str(tmp_path / f"{k}.png"), np.zeros((20 + 4 * (k == 3), 30, 3), np.uint8))
-    _, _, err = run("reconstruct", *sorted(tmp_path.glob("*.png")), "-c", calibration_file, "-o", tmp_path / "out")
+    _, _, err = run(
+        "reconstruct", *sorted(tmp_path.glob("*.png")), "-c", calibration_file, "-o", tmp_path / "out"
+    )
     first, other = (line for line in err.splitlines() if "error:" in line)
     assert first.startswith(f"gelform: error: {tmp_path / '0.png'}")
     assert "2 more images with this error" in first

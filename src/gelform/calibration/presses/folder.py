@@ -110,7 +110,7 @@ class ReadOptions:
             stated = settings.make or make_of(settings.name) or self.sensor
             if stated != self.sensor:
                 raise DataError(
-                    f"sensor= (--sensor) says {self.sensor}, and the presses at {place} are of {stated} by their own settings "
+                    f"sensor= (--sensor) says {self.sensor}, and the presses at {place} are of {stated} by their settings "
                     f"({settings.name}). Leave sensor= out, or correct the settings."
                 )
             settings = replace(settings, make=self.sensor)

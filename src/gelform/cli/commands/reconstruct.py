@@ -159,7 +159,11 @@ def reconstruct(
     for one in failed:
         alike.setdefault(one["error"].replace(one["image"], ""), []).append(one["error"])
     for errors in alike.values():
-        more = f" {counted(len(errors) - 1, 'more image')} with this error: --json names them." if errors[1:] else ""
+        more = (
+            f" {counted(len(errors) - 1, 'more image')} with this error: --json names them."
+            if errors[1:]
+            else ""
+        )
         say(f"gelform: error: {errors[0]}{more}")
     _report(rows, shown)
     if len(images) > len(rows) and len(images) > 1:
