@@ -285,6 +285,12 @@ def test_spoilt_table(copy, name):
         gelform.read_presses(copy)
 
 
+def test_the_folder_above_names_the_one_with_the_presses(copy, tmp_path):
+    shutil.copytree(copy, tmp_path / "demo" / "presses")
+    with pytest.raises(DataError, match=r"which holds others: .*demo.presses"):
+        gelform.read_presses(tmp_path / "demo")
+
+
 def test_a_make_that_the_folder_contradicts(copy):
     toml = copy / "sensor.toml"
     toml.write_text(re.sub(r'name = ".*"', 'name = "GelSight Mini, unit A"', toml.read_text()))

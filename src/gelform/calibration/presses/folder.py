@@ -214,6 +214,12 @@ def read_presses(
             f"which is {is_what}.{way_for(place) if place.exists() else ''}"
         )
     refuse_bag(place)
+    pictures = kind == PLAIN and any(one.suffix.lower() in IMAGE_SUFFIXES for one in place.iterdir())
+    if kind == PLAIN and not pictures and (tables := sorted(place.glob("*/presses.csv"))):
+        names = ", ".join(str(one.parent) for one in tables[:NAMED])
+        raise DataError(
+            f"Expected a press folder, got {place}, which holds others: give one of them ({names})."
+        )
     _, source = LAYOUTS[kind]
     return _presses_of_images(source(place, options), place, options, progress)
 
