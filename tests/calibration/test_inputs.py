@@ -29,6 +29,7 @@ from gelform.calibration.inputs import (
     light_press_notes,
     light_response,
     light_turn,
+    make_findings,
     notes_of,
     radius_from_gradients,
     shape_notes,
@@ -543,3 +544,12 @@ def test_a_calibration_with_a_dark_surround_says_so(presses):
     assert not [note for note in report.notes if "Raise its light" in note]
     with pytest.raises(gelform.CalibrationError, match=r"--crop \d+"):
         gelform.calibrate(surrounded(presses.subset([0, 1])))
+
+
+def test_a_make_that_the_sensors_name_contradicts(presses):
+    mini = replace(presses, sensor_name="GelSight Mini, unit A", make="digit", mm_per_px=0.1)
+    (found,) = make_findings(mini)
+    assert found.name == "make"
+    assert "read as those of a digit, but their sensor is called GelSight Mini, unit A" in found.message
+    assert make_findings(replace(mini, make="gelsight-mini")) == ()
+    assert make_findings(replace(mini, sensor_name="my sensor")) == ()

@@ -26,6 +26,7 @@ from gelform.calibration.inputs import (
     first_notes,
     input_notes,
     light_press_notes,
+    make_findings,
     readings_of_errors,
 )
 from gelform.calibration.presses.folder import Presses, as_presses, with_view
@@ -83,7 +84,7 @@ def calibrate(
     candidates_for(color_model, len(read.presses))  # an unknown name fails before any work
     presses = read.reduced()
     check_inputs(presses)
-    doubts = background_findings(presses)
+    doubts = *make_findings(read), *background_findings(presses)
     untried: tuple[str, ...] = ()
     if start is None:
         known, _ = starter_start(read, color_model)

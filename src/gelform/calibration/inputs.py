@@ -41,7 +41,14 @@ from gelform.errors import CalibrationError, Finding
 from gelform.foundations.filters import SIGMA_OF_MEDIAN
 from gelform.image.agreement import check_background_of_frames, orientation_if_doubtful, touch_in_first
 from gelform.image.background import surround_finding
-from gelform.sensors.profiles import PROFILES, SAME_SCALE, check_gel_width, light_order_of, scale_off_make
+from gelform.sensors.profiles import (
+    PROFILES,
+    SAME_SCALE,
+    check_gel_width,
+    light_order_of,
+    make_of,
+    scale_off_make,
+)
 from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, ColorModel
 from gelform.slopes.color_models.seam import HUBER_SLOPE
 
@@ -287,6 +294,18 @@ def background_findings(presses: Presses) -> tuple[Finding, ...]:
         return ()
     x, y, _ = presses.as_read((touch.x_px, touch.y_px, 0))
     return (touch._replace(x_px=round(x), y_px=round(y)).finding("most presses"),)
+
+
+def make_findings(presses: Presses) -> tuple[Finding, ...]:
+    """The finding `make` if the sensor's name is of another make than the presses were read as."""
+    named = make_of(presses.sensor_name)
+    if named in (None, presses.make):
+        return ()
+    message = (
+        f"The presses were read as those of a {presses.make}, but their sensor is called {presses.sensor_name}. Leave the "
+        "make out (--sensor), or correct the name in sensor.toml."
+    )
+    return (Finding("make", message, 1.0),)
 
 
 def _some(count: int) -> NDArray[np.intp]:

@@ -1,7 +1,6 @@
 """Folders of presses: three layouts give the same presses, and what is wrong with one is said."""
 
 import csv
-import re
 import shutil
 from dataclasses import replace
 
@@ -289,14 +288,6 @@ def test_the_folder_above_names_the_one_with_the_presses(copy, tmp_path):
     shutil.copytree(copy, tmp_path / "demo" / "presses")
     with pytest.raises(DataError, match=r"which holds others: .*demo.presses"):
         gelform.read_presses(tmp_path / "demo")
-
-
-def test_a_make_that_the_folder_contradicts(copy):
-    toml = copy / "sensor.toml"
-    toml.write_text(re.sub(r'name = ".*"', 'name = "GelSight Mini, unit A"', toml.read_text()))
-    with pytest.raises(DataError, match=r"says digit, .* gelsight-mini .*\(GelSight Mini, unit A\)"):
-        gelform.read_presses(copy, sensor="digit")
-    assert gelform.read_presses(copy, sensor="gelsight-mini").make == "gelsight-mini"
 
 
 def test_no_folder_no_background_no_whole_image_and_no_such_sensor(copy, presses, tmp_path):

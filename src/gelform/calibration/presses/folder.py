@@ -62,7 +62,7 @@ from gelform.sensors.files import (
 from gelform.sensors.films import open_film
 from gelform.sensors.mcap import refuse_bag
 from gelform.sensors.pictures import IMAGE_SUFFIXES
-from gelform.sensors.profiles import PROFILES, make_of, profile_named
+from gelform.sensors.profiles import PROFILES, profile_named
 
 __all__ = ["Press", "Presses", "as_presses", "kind_of_presses", "read_presses"]
 
@@ -107,12 +107,6 @@ class ReadOptions:
                 "or a stage's step (gelform scale), or on a grid (gelform lens)."
             )
         if self.sensor is not None:
-            stated = settings.make or make_of(settings.name) or self.sensor
-            if stated != self.sensor:
-                raise DataError(
-                    f"sensor= (--sensor) says {self.sensor}, and the presses at {place} are of {stated} by their settings "
-                    f"({settings.name}). Leave sensor= out, or correct the settings."
-                )
             settings = replace(settings, make=self.sensor)
         if self.mm_per_px is not None:
             others = {name: value for name, value in settings.measured.items() if name != "scale"}
