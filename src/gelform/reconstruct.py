@@ -316,22 +316,26 @@ class Reconstructor:
         self.calibration = calibration = as_calibration(calibration)
         self._calibrated = FromCalibration(calibration)
         self.findings: tuple[Finding, ...] = calibration.findings
-        self.background = calibration.background
         self._checked = partial(check_viewed_image, calibration.background, calibration.view.frame_shape)
+        self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
+        keep_freed_memory(80 * int(np.prod(calibration.image_shape)))  # bytes that one frame allocates in all
+        self._relate_to(calibration.background)
         if background is not None:
             today = self._checked(background, "background")
             check_untouched_image(today, calibration.background)
             found = check_own_background(today, calibration.background)
             # Another unit, or a gel that has moved, shows contacts that are none.
             if not {"background_touched", "background_pattern"} & {one.name for one in found}:
-                found += Reconstructor(calibration)._contact_at_rest(today)
+                found += self._contact_at_rest(today)
             self.findings += found
-            self.background = today.astype(np.float32)
-        self.own_background = background_digest(self.background) == calibration.background_digest
-        self._today = FromBackground(self._calibrated, self.background)
-        self.markers = MarkerFollower(self.background, calibration.mm_per_px)
-        self._pool = Pool(lambda: np.empty((*calibration.image_shape, 3), dtype=np.float32))
-        keep_freed_memory(80 * int(np.prod(calibration.image_shape)))  # bytes that one frame allocates in all
+            self._relate_to(today.astype(np.float32))
+
+    def _relate_to(self, background: Map) -> None:
+        """Read frames relative to a background (H, W, 3), 0-255, from now on."""
+        self.background = background
+        self.own_background = background_digest(background) == self.calibration.background_digest
+        self._today = FromBackground(self._calibrated, background)
+        self.markers = MarkerFollower(background, self.calibration.mm_per_px)
 
     def __repr__(self) -> str:
         height, width = self.calibration.image_shape
