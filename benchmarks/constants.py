@@ -2,12 +2,14 @@
 
     python benchmarks/constants.py image depth     # tries those rooms' numbers; keeps each row in results/constants.json
     python benchmarks/constants.py --only finder   # those whose path or name matches
-    python benchmarks/constants.py --parts frames light
+    python benchmarks/constants.py --parts frames light --jobs 2
     python benchmarks/constants.py --page          # writes docs/numbers.md from the code and the recorded rows
 
 Each trial is a process of its own, which imports gelform with one number of its source changed; so what follows from the
-number changes with it. Each number is tried on the parts (constants/figures.py) that execute a line with it. A number that
-does nothing times 1.2 is tried divided by 1.2, too. "nothing" means that no figure changes by a thousandth.
+number changes with it. A number in C is changed in a library compiled for the trial. Each number is tried on the parts
+(constants/figures.py) that execute a line with it, one in C on all: first on the quick parts, then, until one changes, on
+the others. A number that does nothing times 1.2 is tried divided by 1.2, too. "nothing" means that no figure changes by a
+thousandth.
 """
 
 from __future__ import annotations
@@ -17,9 +19,12 @@ import multiprocessing
 import os
 import pickle
 import re
+import shutil
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -35,19 +40,62 @@ import scipy.optimize
 import scipy.sparse.linalg
 import scipy.spatial  # noqa: F401
 
-from constants.chosen import PACKAGE, Changed, Number, all_numbers, is_reached
-from constants.figures import PARTS, Figures, figures_of, given
+from constants.chosen import (
+    PACKAGE,
+    ROOT,
+    Changed,
+    Number,
+    all_numbers,
+    changed_c,
+    hash_of_sources,
+    is_reached,
+)
+from constants.figures import PARTS, QUICK, Figures, figures_of, given
 from constants.page import write_page
 from report import RESULTS, command_line, parts_asked
 
 FACTOR, CHANGED = 1.2, 1e-3
 RECORD = RESULTS / "constants.json"
+_SHARED: dict[str, bytes] = {}
+_BEFORE: dict[str, Any] = {}
+OFTEN = 500  # calls of a function after which a trace of lines leaves it alone
 
 
 def _child(number: Number | None, factor: float, work: Callable[..., Any], given: Any, out: str) -> None:
-    if number is not None:
-        sys.meta_path.insert(0, Changed(number, factor))
-    Path(out).write_bytes(pickle.dumps(work(*given)))
+    with tempfile.TemporaryDirectory() as folder:
+        if number is not None and number.in_c:
+            _use_changed_library(number, factor, Path(folder))
+        elif number is not None:
+            sys.meta_path.insert(0, Changed(number, factor))
+        Path(out).write_bytes(pickle.dumps(work(*given)))
+
+
+def _use_changed_library(number: Number, factor: float, folder: Path) -> None:
+    """Compile the kernels with one number changed, and let gelform load them."""
+    sys.path.insert(0, str(ROOT))
+    import hatch_build
+
+    from gelform._native import instruction_set, kernel, sources
+
+    isa, own = instruction_set(), folder / Path(number.path).name
+    root = ROOT / "native"
+    if number.path.endswith(".h"):
+        root, own = shutil.copytree(root, folder / "native"), folder / number.path
+    own.write_text(changed_c(number, factor), encoding="utf-8")
+    files = [
+        own if str(path.relative_to(root.parent)) == number.path else path
+        for path in sorted(root.rglob("*.c"))
+    ]
+    digests = sources.digest_of_sources(ROOT / "native"), sources.digest_of_version(hatch_build.version())
+    defined = [f"-D{name}_DIGEST={digest}u" for name, digest in zip(("SOURCES", "VERSION"), digests)]
+    flags = [*hatch_build.FLAGS.split(), *hatch_build.FLAGS_OF[isa].split(), *defined]
+    beside = ["-iquote", str((ROOT / number.path).parent)]
+    made, base = (f"kernels_{one}{kernel._SUFFIX}" for one in (isa, "base"))
+    hatch_build.run([*hatch_build.compiler(""), *flags, *beside, "-o", made, *map(str, files)], folder)
+    if base != made:
+        (folder / base).symlink_to(kernel._FOLDER / base)
+    kernel._FOLDER = folder
+    kernel.library.cache_clear()
 
 
 def in_child(work: Callable[..., Any], *given: Any, number: Number | None = None, factor: float = 1.0) -> Any:
@@ -59,12 +107,12 @@ def in_child(work: Callable[..., Any], *given: Any, number: Number | None = None
         child.start()
         child.join()
         content = Path(file.name).read_bytes()
-    return pickle.loads(content) if content else {"part error": "no import"}
+    return pickle.loads(content) if content else {"part error": "crash"}
 
 
 def traced(part: str, shared: dict[str, bytes]) -> tuple[Figures, set[tuple[str, int]]]:
     """The figures of a part, and the lines of gelform in functions that it executes."""
-    root, lines = f"{PACKAGE}{os.sep}", set()
+    root, lines, calls = f"{PACKAGE}{os.sep}", set(), Counter[Any]()
 
     def in_function(frame: FrameType, event: str, _: Any) -> Any:
         lines.add((frame.f_code.co_filename[len(root) :], frame.f_lineno))
@@ -72,7 +120,8 @@ def traced(part: str, shared: dict[str, bytes]) -> tuple[Figures, set[tuple[str,
 
     def called(frame: FrameType, event: str, _: Any) -> Any:
         code = frame.f_code
-        if code.co_filename.startswith(root) and code.co_name != "<module>":
+        calls[code] += 1
+        if code.co_filename.startswith(root) and code.co_name != "<module>" and calls[code] < OFTEN:
             return in_function(frame, event, _)
         return None
 
@@ -106,27 +155,39 @@ def change(before: Figures, after: Figures) -> str:
     return ", ".join(said) or "nothing"
 
 
-def reached_by(
-    shared: dict[str, bytes], parts: Iterable[str]
-) -> dict[str, tuple[Figures, set[tuple[str, int]]]]:
-    """The undisturbed figures of each part, and the lines that it executes."""
-    found = {}
+def undisturbed(parts: Iterable[str], cache: Path | None) -> tuple[dict[str, bytes], dict[str, Any]]:
+    """What all trials share; and the figures of each part, and the lines that it executes."""
+    kept = pickle.loads(cache.read_bytes()) if cache and cache.is_file() else {}
+    source = hash_of_sources()
+    if kept.get("source") != source:
+        kept = {"source": source, "shared": in_child(given), "before": {}}
     for part in parts:
-        found[part] = in_child(traced, part, shared)
-        print(f"{part}: {len(found[part][0])} figures", flush=True)
-    return found
+        if part not in kept["before"]:
+            kept["before"][part] = in_child(traced, part, kept["shared"])
+            print(f"{part}: {len(kept['before'][part][0])} figures", flush=True)
+    if cache:
+        cache.write_bytes(pickle.dumps(kept))
+    return kept["shared"], kept["before"]
 
 
-def tried(
-    number: Number, factor: float, parts: Iterable[str], before: dict[str, Any], shared: dict[str, bytes]
-) -> str:
-    """What a factor does to a number: of each part that changes."""
-    said = []
-    for part in parts:
-        found = change(before[part][0], in_child(figures_of, part, shared, number=number, factor=factor))
+def effect(number: Number, part: str) -> str:
+    """What a factor does to a part; where it does nothing, its inverse."""
+    for factor in (FACTOR, 1 / FACTOR):
+        found = change(_BEFORE[part][0], in_child(figures_of, part, _SHARED, number=number, factor=factor))
         if found != "nothing":
-            said.append(f"{part}: {found}")
-    return "; ".join(said) or "nothing"
+            return found if factor > 1 else f"divided: {found}"
+    return "nothing"
+
+
+def row_of(number: Number, asked: Iterable[str], known: dict[str, str | None]) -> dict[str, str | None]:
+    """What a number does in each part; None of a part that does not reach it."""
+    row = dict(known)
+    for part in [part for part in PARTS if part in asked and part not in known]:
+        if part not in QUICK and any(said not in (None, "nothing") for said in row.values()):
+            break
+        is_run = number.in_c or is_reached(number, _BEFORE[part][1])
+        row[part] = effect(number, part) if is_run else None
+    return row
 
 
 def main() -> None:
@@ -136,6 +197,7 @@ def main() -> None:
     command.add_argument("--parts", dest="by", nargs="+", choices=list(PARTS), default=list(PARTS))
     command.add_argument("--again", action="store_true", help="those that have a row, too")
     command.add_argument("--cache", type=Path, help="keep there what all trials share")
+    command.add_argument("--jobs", type=int, default=1, help="trials at a time")
     command.add_argument("--page", action="store_true", help="write the page; try nothing")
     numbers = all_numbers()
     asked = parts_asked(command, sorted({number.room for number in numbers}))
@@ -143,34 +205,21 @@ def main() -> None:
     if asked.page:
         write_page(numbers, rows)
         return
-    if asked.cache and asked.cache.is_file():
-        shared = pickle.loads(asked.cache.read_bytes())
-    else:
-        shared = in_child(given)
-        if asked.cache:
-            asked.cache.write_bytes(pickle.dumps(shared))
-    before = reached_by(shared, asked.by)
-    for number in numbers:
-        known = rows.get(number.key, {})
-        done = known.get("value") == number.value and set(asked.by) <= set(known.get("parts", []))
-        if number.room not in asked.parts or not number.literals or (done and not asked.again):
-            continue
-        if asked.only and not re.search(asked.only, f"{number.path} {number.name}"):
-            continue
-        parts = [part for part in asked.by if is_reached(number, before[part][1])]
-        row: dict[str, Any] = {"value": number.value, "parts": asked.by, "reached": parts}
-        if parts:
-            row["more"] = tried(number, FACTOR, parts, before, shared)
-            if row["more"] == "nothing":
-                row["less"] = tried(number, 1 / FACTOR, parts, before, shared)
-        rows[number.key] = row
-        print(
-            f"| {number.key} | {number.value if number.name else ''} | {parts} | {row.get('more')} | {row.get('less')}",
-            flush=True,
-        )
-        RECORD.write_text(
-            json.dumps(rows, indent=1, ensure_ascii=False, sort_keys=True) + "\n", encoding="utf-8"
-        )
+    global _SHARED, _BEFORE
+    _SHARED, _BEFORE = undisturbed(asked.by, asked.cache)
+    with ProcessPoolExecutor(asked.jobs, multiprocessing.get_context("fork")) as pool:
+        running = {}
+        for number in numbers:
+            row = rows.get(number.key, {})
+            known = row["parts"] if row.get("value") == number.value and not asked.again else {}
+            if number.room in asked.parts and re.search(asked.only, f"{number.path} {number.name}"):
+                running[pool.submit(row_of, number, asked.by, known)] = number
+        for done in as_completed(running):
+            number = running[done]
+            rows[number.key] = {"value": number.value, "parts": done.result()}
+            print(f"| {number.key} | {number.value if number.name else ''} | {done.result()}", flush=True)
+            text = json.dumps(rows, indent=1, ensure_ascii=False, sort_keys=True)
+            RECORD.write_text(text + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import hashlib
 import importlib.abc
 import importlib.machinery
 import re
@@ -34,6 +35,11 @@ class Number:
     value: str  # as written: of a name its value, else the line
     says: str  # the comment beside it
     lines: frozenset[int]  # of the statement
+
+    @property
+    def in_c(self) -> bool:
+        """Whether a kernel has it."""
+        return self.path.startswith("native/")
 
     @property
     def module(self) -> str:
@@ -108,14 +114,43 @@ def _comment(lines: list[str], node: ast.AST) -> str:
 
 def numbers_of_c(path: Path) -> Iterator[Number]:
     """The lines of a C file with chosen numbers."""
-    text = re.sub(
-        r"/\*.*?\*/", lambda m: "\n" * m.group().count("\n"), path.read_text(encoding="utf-8"), flags=re.S
-    )
-    for at, line in enumerate(text.splitlines(), 1):
-        code, _, says = line.partition("//")
-        bare = re.sub(r'\[[^\]]*\]|"[^"]*"', " ", code)
-        if any(is_chosen(float(one)) for one in IN_C.findall(bare)):
-            yield Number(str(path.relative_to(ROOT)), "", (), code.strip(), says.strip(), frozenset({at}))
+    lines = path.read_text(encoding="utf-8").splitlines()
+    for at, code in enumerate(_blank(r"/\*.*?\*/|//[^\n]*", "\n".join(lines)).splitlines(), 1):
+        found = [
+            one for one in IN_C.finditer(_blank(r'\[[^\]]*\]|"[^"]*"', code)) if is_chosen(float(one[1]))
+        ]
+        if found:
+            says = lines[at - 1].partition("//")[2].strip()
+            places = tuple((at, one.start(1)) for one in found)
+            relative = str(path.relative_to(ROOT))
+            yield Number(relative, "", places, code.strip(), says, frozenset({at}))
+
+
+def _blank(pattern: str, text: str) -> str:
+    """The text with spaces where it matches; what else is in it keeps its place."""
+    return re.sub(pattern, lambda found: re.sub(r"[^\n]", " ", found[0]), text, flags=re.S)
+
+
+def changed_c(number: Number, factor: float) -> str:
+    """The C file of a number, with the number multiplied by a factor."""
+    lines = (ROOT / number.path).read_text(encoding="utf-8").splitlines()
+    for at, column in sorted(number.literals, reverse=True):
+        line = lines[at - 1]
+        found = IN_C.match(line, column)
+        assert found is not None
+        text, whole = found[1], found[1].isdecimal()
+        changed = _times(int(text) if whole else float(text), factor)
+        lines[at - 1] = line[:column] + repr(changed) + line[column + len(text) :]
+    return "\n".join(lines) + "\n"
+
+
+def _times(value: float, factor: float) -> float:
+    """A number times a factor; a whole number becomes another whole one."""
+    changed = value * factor
+    if isinstance(value, int):
+        whole = round(changed)
+        return whole + ((factor > 1) - (factor < 1) if whole == value else 0)
+    return changed
 
 
 def all_numbers() -> list[Number]:
@@ -133,6 +168,14 @@ def all_numbers() -> list[Number]:
         for number in numbers_of_c(path)
     ]
     return of_python + of_c
+
+
+def hash_of_sources() -> str:
+    """Of the text of all Python and C files."""
+    found = hashlib.sha256()
+    for path in sorted([*PACKAGE.rglob("*.py"), *NATIVE.rglob("*.[ch]")]):
+        found.update(path.read_bytes())
+    return found.hexdigest()
 
 
 @cache
@@ -192,9 +235,5 @@ class _Loader(importlib.machinery.SourceFileLoader):
         for node in ast.walk(tree):
             place = getattr(node, "lineno", 0), getattr(node, "col_offset", 0)
             if isinstance(node, ast.Constant) and place in self._number.literals:
-                changed = node.value * self._factor  # type: ignore[operator]
-                if isinstance(node.value, int):
-                    changed = round(changed)
-                    changed += (self._factor > 1) - (self._factor < 1) if changed == node.value else 0
-                node.value = changed
+                node.value = _times(node.value, self._factor)  # type: ignore[arg-type]
         return compile(tree, self.path, "exec")

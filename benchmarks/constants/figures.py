@@ -308,15 +308,16 @@ def presses(shared: dict[str, bytes]) -> Figures:
 
 
 PARTS: dict[str, Callable[[dict[str, bytes]], Figures]] = {
-    "frames": frames,
+    "force": force,
     "light": light,
     "dots": dots,
-    "motion": motion,
-    "force": force,
-    "streams": streams,
+    "frames": frames,
     "circles": circles,
+    "streams": streams,
+    "motion": motion,
     "presses": presses,
 }
+QUICK = ("force", "light", "dots", "frames")  # a trial takes under five seconds
 
 
 def figures_of(part: str, shared: dict[str, bytes]) -> Figures:

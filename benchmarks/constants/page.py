@@ -8,6 +8,7 @@ from itertools import groupby
 from typing import Any
 
 from constants.chosen import ROOT, Number
+from constants.figures import PARTS
 
 PAGE = ROOT / "docs" / "numbers.md"
 UNITS = {
@@ -26,9 +27,9 @@ force, without commands, pages, exporters and the simulator. Counts up to 4, pow
 left out. A name in capitals is a constant; other rows are lines of code with a number in them.
 
 `python benchmarks/constants.py --page` writes this page from the code. "x 1.2" is what a multiplication by 1.2 changes in
-the parts of that script that execute the line, as recorded in `benchmarks/results/constants.json`. "nothing" also holds for
-a division. "not reached" is a line that no part executes. Parts: frames of five sets, changed light, dots, motion, force,
-streams with faults, circles, presses.
+the parts of that script that execute the line, as recorded in `benchmarks/results/constants.json`: on the quick parts
+(force, changed light, dots, frames of five sets), then, until one changes, on circles, streams with faults, motion and
+presses. "nothing" also holds for a division. "not reached" is a line that no part executes.
 
 | room | constants | lines with other numbers | tried | do nothing |
 |---|---|---|---|---|
@@ -50,7 +51,13 @@ def outcome(number: Number, rows: Mapping[str, Any]) -> str:
     row = rows.get(number.key)
     if row is None or row["value"] != number.value:
         return "not tried"
-    return "not reached" if not row["reached"] else str(row["more"])
+    reached = {part: said for part, said in row["parts"].items() if said is not None}
+    changed = [f"{part}: {said}" for part, said in reached.items() if said != "nothing"]
+    if changed:
+        return "; ".join(changed)
+    if set(row["parts"]) < set(PARTS):
+        return "not tried on all"
+    return "nothing" if reached else "not reached"
 
 
 def cell(text: str) -> str:
@@ -72,7 +79,7 @@ def page(numbers: Iterable[Number], rows: Mapping[str, Any]) -> str:
     for room, of in rooms.items():
         said = [outcome(one, rows) for one in of]
         named = sum(bool(one.name) for one in of)
-        tried = sum(one != "not tried" for one in said)
+        tried = sum(not one.startswith("not tried") for one in said)
         lines.append(f"| {room} | {named} | {len(of) - named} | {tried} | {said.count('nothing')} |")
         tables += [
             "",

@@ -6,7 +6,19 @@ import re
 
 import pytest
 
-from constants.chosen import PACKAGE, Number, _Loader, all_numbers, is_chosen, is_reached, numbers_of, uses_of
+from constants.chosen import (
+    PACKAGE,
+    Number,
+    _Loader,
+    all_numbers,
+    changed_c,
+    is_chosen,
+    is_reached,
+    numbers_of,
+    numbers_of_c,
+    uses_of,
+)
+from constants.figures import PARTS
 from constants.page import PAGE, code, outcome, page, unit_of
 
 NAMED = [number for number in all_numbers() if number.name]
@@ -95,9 +107,27 @@ def _constants(text):
 
 def test_a_row_counts_for_its_value_alone():
     number = next(one for one in NAMED if one.name == "FINEST_PX")
-    row = {"value": number.value, "reached": ["light"], "more": "nothing"}
-    assert outcome(number, {number.key: row}) == "nothing"
-    assert outcome(number, {number.key: row | {"value": "3.0"}}) == "not tried"
-    assert outcome(number, {number.key: row | {"reached": []}}) == "not reached"
+
+    def said(parts, value=number.value):
+        return outcome(number, {number.key: {"value": value, "parts": parts}})
+
+    everywhere = dict.fromkeys(PARTS, "nothing")
+    assert said(everywhere) == "nothing"
+    assert said(everywhere, "3.0") == "not tried"
+    assert said({"light": "nothing"}) == "not tried on all"
+    assert said({"light": "nothing", "dots": None, "frames": "depth +2.0 %"}) == "frames: depth +2.0 %"
+    assert said(dict.fromkeys(PARTS)) == "not reached"
     assert unit_of(number) == "px"
     assert code("a | b") == "`a \\| b`"
+
+
+def test_a_trial_changes_one_number_of_c(tmp_path, monkeypatch):
+    monkeypatch.setattr("constants.chosen.ROOT", tmp_path)
+    path = tmp_path / "one.c"
+    path.write_text(
+        "/* 7.5 */ float a[12] = {0}; // 9.5\nfloat b = 0.3f * x[7] + 12; /* 5\n6 */\n", encoding="utf-8"
+    )
+    [number] = numbers_of_c(path)
+    assert number.value == "float b = 0.3f * x[7] + 12;"
+    changed = changed_c(number, 2.0)
+    assert changed == path.read_text(encoding="utf-8").replace("0.3f", "0.6f").replace("+ 12", "+ 24")
