@@ -8,8 +8,8 @@
 Each trial is a process of its own, which imports gelform with one number of its source changed; so what follows from the
 number changes with it. A number in C is changed in a library compiled for the trial. Each number is tried on the parts
 (constants/figures.py) that execute a line with it, one in C on all: first on the quick parts, then, until one changes, on
-the others. A number that does nothing times 1.2 is tried divided by 1.2, too. "nothing" means that no figure changes by a
-thousandth.
+those of its room. A number that does nothing times 1.2 is tried divided by 1.2, too. "nothing" means that no figure changes
+by a thousandth.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from constants.chosen import (
     hash_of_sources,
     is_reached,
 )
-from constants.figures import PARTS, QUICK, Figures, figures_of, given
+from constants.figures import PARTS, ROOMS, Figures, figures_of, given, parts_of
 from constants.page import write_page
 from report import RESULTS, command_line, parts_asked
 
@@ -182,8 +182,8 @@ def effect(number: Number, part: str) -> str:
 def row_of(number: Number, asked: Iterable[str], known: dict[str, str | None]) -> dict[str, str | None]:
     """What a number does in each part; None of a part that does not reach it."""
     row = dict(known)
-    for part in [part for part in PARTS if part in asked and part not in known]:
-        if part not in QUICK and any(said not in (None, "nothing") for said in row.values()):
+    for part in [part for part in parts_of(number.room) if part in asked and part not in known]:
+        if part in ROOMS and any(said not in (None, "nothing") for said in row.values()):
             break
         is_run = number.in_c or is_reached(number, _BEFORE[part][1])
         row[part] = effect(number, part) if is_run else None

@@ -317,7 +317,14 @@ PARTS: dict[str, Callable[[dict[str, bytes]], Figures]] = {
     "motion": motion,
     "presses": presses,
 }
-QUICK = ("force", "light", "dots", "frames")  # a trial takes under five seconds
+ROOMS = {  # the parts whose trials take ten seconds and more are for the numbers of their own room
+    "circles": "calibration", "streams": "sensors", "motion": "motion", "presses": "calibration",
+}  # fmt: skip
+
+
+def parts_of(room: str) -> list[str]:
+    """The parts that a room's numbers are tried on, the quick ones first."""
+    return [part for part in PARTS if ROOMS.get(part, room) in room.split("/")]
 
 
 def figures_of(part: str, shared: dict[str, bytes]) -> Figures:

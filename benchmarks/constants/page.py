@@ -8,7 +8,7 @@ from itertools import groupby
 from typing import Any
 
 from constants.chosen import ROOT, Number
-from constants.figures import PARTS
+from constants.figures import parts_of
 
 PAGE = ROOT / "docs" / "numbers.md"
 UNITS = {
@@ -27,9 +27,10 @@ force, without commands, pages, exporters and the simulator. Counts up to 4, pow
 left out. A name in capitals is a constant; other rows are lines of code with a number in them.
 
 `python benchmarks/constants.py --page` writes this page from the code. "x 1.2" is what a multiplication by 1.2 changes in
-the parts of that script that execute the line, as recorded in `benchmarks/results/constants.json`: on the quick parts
-(force, changed light, dots, frames of five sets), then, until one changes, on circles, streams with faults, motion and
-presses. "nothing" also holds for a division. "not reached" is a line that no part executes.
+the parts of that script that execute the line, as recorded in `benchmarks/results/constants.json`: force, changed light,
+dots, frames of five sets; where none of these changes, motion for numbers of that room, streams with faults for those of
+sensors, circles and presses for those of calibration. "nothing" also holds for a division. "not reached" is a line that no
+part executes.
 
 | room | constants | lines with other numbers | tried | do nothing |
 |---|---|---|---|---|
@@ -55,7 +56,7 @@ def outcome(number: Number, rows: Mapping[str, Any]) -> str:
     changed = [f"{part}: {said}" for part, said in reached.items() if said != "nothing"]
     if changed:
         return "; ".join(changed)
-    if set(row["parts"]) < set(PARTS):
+    if not set(row["parts"]) >= set(parts_of(number.room)):
         return "not tried on all"
     return "nothing" if reached else "not reached"
 

@@ -18,7 +18,7 @@ from constants.chosen import (
     numbers_of_c,
     uses_of,
 )
-from constants.figures import PARTS
+from constants.figures import PARTS, parts_of
 from constants.page import PAGE, code, outcome, page, unit_of
 
 NAMED = [number for number in all_numbers() if number.name]
@@ -115,6 +115,9 @@ def test_a_row_counts_for_its_value_alone():
     assert said(everywhere) == "nothing"
     assert said(everywhere, "3.0") == "not tried"
     assert said({"light": "nothing"}) == "not tried on all"
+    assert said(dict.fromkeys(parts_of(number.room), "nothing")) == "nothing"
+    assert "motion" in parts_of("native/motion")
+    assert "motion" not in parts_of("image")
     assert said({"light": "nothing", "dots": None, "frames": "depth +2.0 %"}) == "frames: depth +2.0 %"
     assert said(dict.fromkeys(PARTS)) == "not reached"
     assert unit_of(number) == "px"

@@ -53,7 +53,7 @@ def test_center_is_found_despite_a_bad_third():
     gradients = ball_gradients(x, y, (80.3, 59.6), 50.0)
     gradients[x > 90] += 0.4
     found, plain = ball_center(gradients, x, y, (77.0, 62.0), 50.0), np.array((77.0, 62.0))
-    metrics._ball_center(gradients, x.astype(float), y.astype(float), plain, 50.0, 100.0, 30)  # least squares
+    metrics._ball_center(gradients, x.astype(float), y.astype(float), plain, 50.0, 100.0, 0.97, 30)  # least squares
     off, plainly = (np.hypot(*np.subtract(one, (80.3, 59.6))) for one in (found, plain))
     assert off < min(0.8, 0.25 * plainly)
     exact = ball_center(ball_gradients(x, y, (80.3, 59.6), 50.0), x, y, (77.0, 62.0), 50.0)
@@ -74,7 +74,7 @@ def test_the_gel_follows_the_visible_circle_unless_that_is_as_wide_as_the_ball()
     assert steepest == pytest.approx(0.75)
 
 
-def center_by_numpy(gradients, x, y, center, radius, scale, rounds):
+def center_by_numpy(gradients, x, y, center, radius, scale, _, rounds):
     """Gauss-Newton with the derivatives of the slopes by the center, each step on all pixels."""
     found = center.copy()
     for _ in range(rounds):
@@ -97,7 +97,7 @@ def test_the_kernel_finds_the_center_as_numpy_does(start, rounds):
     y, x = (v.ravel().astype(float) for v in np.mgrid[20:100:3, 30:130:3])
     noise = np.random.default_rng(0).normal(0, 0.1, (x.size, 2))
     gradients = ball_gradients(x, y, (80.3, 59.6), 50.0) + noise
-    arguments = gradients, x, y, np.array(start), 50.0, 0.05, rounds
+    arguments = gradients, x, y, np.array(start), 50.0, 0.05, metrics.STEEPEST_FRACTION, rounds
     assert_kernel_agrees(metrics._ball_center, center_by_numpy, *arguments, tolerance=1e-10)
 
 

@@ -1,16 +1,15 @@
 // The place of a ball of known radius whose slopes agree best with the given ones.
 #include "../../common.h"
 
-enum { HELD_FROM = 97 };  // hundredths of the radius beyond which the slopes of a ball are held
-
 // Weighted sums of a Gauss-Newton step: J^T J, of which two entries are alike, and J^T r.
 struct normal {
   double xx, xy, yy, x, y;
 };
 
 // Terms of a pixel with the slope (p, q): the ball's slope there, its derivative by the center, a pseudo-Huber weight.
-static inline struct normal at_pixel(double p, double q, double u, double v, double per_radius, double per_scale) {
-  const double held = HELD_FROM / 100.0, square = 1 - u * u - v * v, least = 1 - held * held;
+static inline struct normal at_pixel(double p, double q, double u, double v, double per_radius, double per_scale,
+                                     double least) {
+  const double square = 1 - u * u - v * v;
   const double height = sqrt(square > least ? square : least), a = -u / height, b = -v / height;
   const double off_p = p - a, off_q = q - b, length = sqrt(1 + a * a + b * b) * per_radius;
   const double xx = (1 + a * a) * length, xy = a * b * length, yy = (1 + b * b) * length;
@@ -22,15 +21,15 @@ static inline struct normal at_pixel(double p, double q, double u, double v, dou
 static inline double within(double x, double limit) { return x > limit ? limit : x < -limit ? -limit : x; }
 
 // Gauss-Newton from `center`, which becomes the place found: at most `rounds` steps, each of at most a fifth of the radius, until one
-// is shorter than a thousandth of a pixel.
+// is shorter than a thousandth of a pixel. Beyond `held` of the radius the slopes of the ball are held.
 EXPORT int ball_center(const double *gradients, const double *x, const double *y, double *center, double radius, double scale,
-                       int64_t rounds, ptrdiff_t n) {
-  const double per_radius = 1 / radius, per_scale = 1 / (scale * scale), tiny = 1e-12;
+                       double held, int64_t rounds, ptrdiff_t n) {
+  const double per_radius = 1 / radius, per_scale = 1 / (scale * scale), least = 1 - held * held, tiny = 1e-12;
   for (int64_t round = 0; round < rounds; round++) {
     struct normal sum = {tiny, 0, tiny, 0, 0};
     for (ptrdiff_t k = 0; k < n; k++) {
       const double u = (x[k] - center[0]) * per_radius, v = (y[k] - center[1]) * per_radius;
-      const struct normal one = at_pixel(gradients[2 * k], gradients[2 * k + 1], u, v, per_radius, per_scale);
+      const struct normal one = at_pixel(gradients[2 * k], gradients[2 * k + 1], u, v, per_radius, per_scale, least);
       sum.xx += one.xx, sum.xy += one.xy, sum.yy += one.yy, sum.x += one.x, sum.y += one.y;
     }
     const double determinant = sum.xx * sum.yy - sum.xy * sum.xy;

@@ -4,7 +4,6 @@
 #include "nodes.h"
 
 enum { CHANNELS = 3, TERMS = 17, COUNT = TERMS * CHANNELS, PLANES = 6 };
-static const float PER_NORMAL = 1 / 0.3f, PER_DEPTH_PX = 0.1f;  // units of the response's variables
 static const float ROUNDING = 1e-6f;  // of a determinant in float32, over the product of its diagonal
 
 struct settings {
@@ -83,7 +82,7 @@ static inline void whiten(lanes v[CHANNELS], const float *root) {
 // One step, at most `longest`: a longer one would explain a mirrored light or dust by a slope of its color.
 static struct stepped step_of(const struct pixels *at, struct place place, const float *root, float longest) {
   const lanes p = at->p, q = at->q, cosine = 1 / square_root(1 + p * p + q * q);
-  const lanes unit = cosine * PER_NORMAL, cube = unit * (cosine * cosine), x = p * unit, y = q * unit;
+  const lanes cube = cosine * cosine * cosine, x = p * cosine, y = q * cosine;
   const lanes x_per_p = (1 + q * q) * cube, x_per_q = -p * q * cube, y_per_q = (1 + p * p) * cube;  // y_per_p is x_per_q
   lanes left[CHANNELS], per_p[CHANNELS], per_q[CHANNELS];
   for (int c = 0; c < CHANNELS; c++) {
@@ -184,7 +183,7 @@ static inline void plane_of_depth(struct rows_between *depths, ptrdiff_t y, doub
   float fraction;
   hold_rows(depths, between(y, step, depths->rows, &fraction));
   const float *restrict upper = depths->upper, *restrict lower = depths->lower;
-  for (ptrdiff_t x = 0; x < depths->n; x++) z[x] = PER_DEPTH_PX * (upper[x] + fraction * (lower[x] - upper[x]));
+  for (ptrdiff_t x = 0; x < depths->n; x++) z[x] = upper[x] + fraction * (lower[x] - upper[x]);
 }
 
 EXPORT int forward_step(const float *change, const float *read, const float *depth, const uint8_t *clipped,

@@ -32,10 +32,10 @@ __all__ = [  # as the reference of the site lists them
 
 _ball_center = Kernel(
     "ball_center",
-    "f64[n,2] gradients, f64[n] x, f64[n] y, out f64[2] center, f64 radius, f64 scale, i64 rounds",
+    "f64[n,2] gradients, f64[n] x, f64[n] y, out f64[2] center, f64 radius, f64 scale, f64 held, i64 rounds",
 )
 OFF_CONTACT = 2.5  # contact radii, beyond which the gel is at rest
-# Fraction of the radius: farther out the slopes of a ball are held constant; the same in native/result/metrics/center.c.
+# Fraction of the radius: farther out the slopes of a ball are held constant.
 STEEPEST_FRACTION = 0.97
 
 
@@ -79,7 +79,7 @@ def ball_center(
     """
     center = np.array(start_px, dtype=np.float64)
     slopes, x, y = (np.ascontiguousarray(values, dtype=np.float64) for values in (gradients, x_px, y_px))
-    _ball_center(slopes, x, y, center, radius_px, 0.05, rounds)
+    _ball_center(slopes, x, y, center, radius_px, 0.05, STEEPEST_FRACTION, rounds)
     return float(center[0]), float(center[1])
 
 

@@ -38,7 +38,7 @@ from gelform.slopes.color_models.seam import (
     terms_of_orders,
 )
 
-# Units that make all terms about 1: the RMS of the normal's first two components in contacts, and a usual depth, px.
+# Units of the coefficients that make all terms about 1: the RMS of the normal's first two components in contacts, and a usual depth, px.
 NORMAL_UNIT, DEPTH_UNIT_PX = 0.3, 10.0
 PLACE_DEGREES = 5, 4, 3, 2  # degrees in place of terms of order 1 to 4 in the normal
 RIDGES = POLYNOMIAL_RIDGES[2:]  # ridges that calibration tries, the stiffest first
@@ -48,6 +48,9 @@ CLIPPED_STEP_SIGMA = 0.3
 
 _POWERS = monomials(2, len(PLACE_DEGREES))  # (vx, vy, vx vx, vx vy, ...)
 TERMS = len(_POWERS) + 3
+_PER_UNIT = np.array(
+    [NORMAL_UNIT ** -len(term) for term in _POWERS] + [1 / DEPTH_UNIT_PX] + 2 * [1 / (DEPTH_UNIT_PX * NORMAL_UNIT)]
+)  # of each term, so that a frame's step needs no units
 
 _forward_step = Kernel(
     "forward_step",
@@ -206,7 +209,7 @@ class PreparedStep:
 
     def __init__(self, forward: ForwardResponse) -> None:
         assert forward.step_sigma is not None
-        self._nodes = np.ascontiguousarray(forward.nodes, dtype=np.float32)
+        self._nodes = np.ascontiguousarray(forward.nodes * _PER_UNIT[:, None], dtype=np.float32)
         self._roots = forward.roots
         at_rest, per_slope = forward.step_sigma
         self._priors = at_rest**2, per_slope**2, 1 / CLIPPED_STEP_SIGMA**2
