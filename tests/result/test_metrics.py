@@ -53,7 +53,9 @@ def test_center_is_found_despite_a_bad_third():
     gradients = ball_gradients(x, y, (80.3, 59.6), 50.0)
     gradients[x > 90] += 0.4
     found, plain = ball_center(gradients, x, y, (77.0, 62.0), 50.0), np.array((77.0, 62.0))
-    metrics._ball_center(gradients, x.astype(float), y.astype(float), plain, 50.0, 100.0, 0.97, 30)  # least squares
+    metrics._ball_center(
+        gradients, x.astype(float), y.astype(float), plain, 50.0, 100.0, 0.97, 30
+    )  # least squares
     off, plainly = (np.hypot(*np.subtract(one, (80.3, 59.6))) for one in (found, plain))
     assert off < min(0.8, 0.25 * plainly)
     exact = ball_center(ball_gradients(x, y, (80.3, 59.6), 50.0), x, y, (77.0, 62.0), 50.0)

@@ -38,7 +38,8 @@ from gelform.slopes.color_models.seam import (
     terms_of_orders,
 )
 
-# Units of the coefficients that make all terms about 1: the RMS of the normal's first two components in contacts, and a usual depth, px.
+# Units of the coefficients that make all terms about 1: the RMS of the normal's first two components in contacts, and a
+# usual depth, px.
 NORMAL_UNIT, DEPTH_UNIT_PX = 0.3, 10.0
 PLACE_DEGREES = 5, 4, 3, 2  # degrees in place of terms of order 1 to 4 in the normal
 RIDGES = POLYNOMIAL_RIDGES[2:]  # ridges that calibration tries, the stiffest first
@@ -49,7 +50,9 @@ CLIPPED_STEP_SIGMA = 0.3
 _POWERS = monomials(2, len(PLACE_DEGREES))  # (vx, vy, vx vx, vx vy, ...)
 TERMS = len(_POWERS) + 3
 _PER_UNIT = np.array(
-    [NORMAL_UNIT ** -len(term) for term in _POWERS] + [1 / DEPTH_UNIT_PX] + 2 * [1 / (DEPTH_UNIT_PX * NORMAL_UNIT)]
+    [NORMAL_UNIT ** -len(term) for term in _POWERS]
+    + [1 / DEPTH_UNIT_PX]
+    + 2 * [1 / (DEPTH_UNIT_PX * NORMAL_UNIT)]
 )  # of each term, so that a frame's step needs no units
 
 _forward_step = Kernel(
