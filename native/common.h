@@ -121,4 +121,22 @@ static inline struct range range_of(const float *restrict a, ptrdiff_t n) {
 
 static inline float clamp(float x, float low, float high) { return smaller(larger(x, low), high); }
 
+// A row of w pixels of c channels, weighted, to `sums`; the weights of its seen pixels to `area`. Others count as nothing.
+static inline void add_seen(const float *restrict row, const bool *restrict seen, float *restrict sums, float *restrict area,
+                            float weight, ptrdiff_t w, ptrdiff_t c) {
+  for (ptrdiff_t x = 0; x < w; x++) {
+    const float own = seen[x] ? weight : 0;
+    area[x] += own;
+    for (ptrdiff_t k = 0; k < c; k++) sums[x * c + k] += own * row[x * c + k];
+  }
+}
+
+// The same, compiled for each usual number of channels.
+static inline void add_seen_row(const float *row, const bool *seen, float *sums, float *area, float weight, ptrdiff_t w, ptrdiff_t c) {
+  if (c == 1) add_seen(row, seen, sums, area, weight, w, 1);
+  else if (c == 2) add_seen(row, seen, sums, area, weight, w, 2);
+  else if (c == 3) add_seen(row, seen, sums, area, weight, w, 3);
+  else add_seen(row, seen, sums, area, weight, w, c);
+}
+
 #endif

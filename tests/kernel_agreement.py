@@ -108,12 +108,12 @@ def stride(s):
 
 
 def cells(s):
-    c = s.get("c", 1) % 3 + 1
-    return {"h": 4 * s["r"], "w": 4 * s["k"], "c": c, "n": 4 * s["k"] * c}
+    c = s["c"] % 4
+    return {"c": c, "n": (c + 1) * s["w"] + 4 * s["k"]}
 
 
 def coarser(s):
-    return {"rows": half(s["h"]), "columns": half(s["w"]), "of_run": 3}
+    return {"rows": half(s["h"]), "columns": half(s["w"]), "of_run": 3, "n": (s["c"] + 1) * s["w"]}
 
 
 def blurred(s):
@@ -164,7 +164,7 @@ def filtered_modes(s):
 # Sizes that are not free, and numbers that are tied to them.
 SIZES = {
     "ball_surface": lambda s: {"points": s["points"] + 1}, "gray_levels": lambda s: {"points": s["points"] + 1},
-    "bent_surface": bent, "cell_means": cells, "cell_shares": cells, "coarser_known": coarser, "fill_from_coarser": coarser,
+    "bent_surface": bent, "cell_means": cells, "coarser_known": coarser, "fill_from_coarser": coarser,
     "color_change": blurred, "hierarchical_from_image": blurred_at_nodes,
     "hierarchical_gradients": nodes, "forward_step": nodes,
     "column_jumps": lambda s: {"w": (w := s["w"] + 8), "n": 3 * (w - 1) + 2 * ((w - 1) // 8)},

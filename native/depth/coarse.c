@@ -2,40 +2,59 @@
 #include "../bilinear.h"
 #include "../select.h"
 
-enum { SIDE = 4, CHANNELS = 3 };  // of a cell, px; the most channels of a map
+enum { CHANNELS = 3 };  // the most of a map
 
-static inline void add_row(const float *restrict row, float *restrict sums, ptrdiff_t n) {
-  for (ptrdiff_t i = 0; i < n; i++) sums[i] += row[i];
+// The pixels of a line of n from which cell `i` of `count` takes a part, and how much of the first and of the last.
+struct part {
+  int32_t first, last;
+  float of_first, of_last;
+};
+
+static inline struct part part_of(ptrdiff_t i, ptrdiff_t n, ptrdiff_t count) {
+  const double from = (double)(i * n) / (double)count, to = (double)((i + 1) * n) / (double)count;
+  const int32_t first = (int32_t)((i * n) / count), last = (int32_t)(((i + 1) * n - 1) / count);
+  if (first == last) return (struct part){first, last, (float)(to - from), 0};
+  return (struct part){first, last, (float)((double)(first + 1) - from), (float)(to - (double)last)};
 }
 
-// A map of `c` channels whose height and width are SIDE times `r` and `k`.
-EXPORT int cell_means(const float *values, float *work, float *cells, ptrdiff_t h, ptrdiff_t w, ptrdiff_t c, ptrdiff_t n, ptrdiff_t r,
-                      ptrdiff_t k) {
-  if (h != SIDE * r || w != SIDE * k || n < w * c || c > CHANNELS) return WRONG_SIZE;
-  const float share = 1.0f / (SIDE * SIDE);
+static inline float weight_of(struct part part, ptrdiff_t at) {
+  return at == part.first ? part.of_first : at == part.last ? part.of_last : 1;
+}
+
+static inline void add_row(const float *restrict row, float *restrict sums, float weight, ptrdiff_t n) {
+  for (ptrdiff_t i = 0; i < n; i++) sums[i] += weight * row[i];
+}
+
+// Means (r, k, c) of the seen pixels of a map over as many cells, 0 in a cell without any; and the share (r, k) of its area that
+// they are. All pixels are seen where `seen` is NULL; no channel (c = 0) needs no values.
+EXPORT int cell_means(const float *values, const bool *seen, float *work, float *cells, float *shares, ptrdiff_t h, ptrdiff_t w,
+                      ptrdiff_t c, ptrdiff_t n, ptrdiff_t r, ptrdiff_t k) {
+  if (h < 1 || w < 1 || n < (c + 1) * w + 4 * k || c > CHANNELS) return WRONG_SIZE;
+  float *sums = work, *area = work + w * c;
+  struct part *parts = (struct part *)(area + w);
+  for (ptrdiff_t j = 0; j < k; j++) parts[j] = part_of(j, w, k);
+  const float whole = (float)((double)h / (double)r * (double)w / (double)k);
   for (ptrdiff_t i = 0; i < r; i++) {
-    memset(work, 0, (size_t)(w * c) * sizeof *work);
-    for (ptrdiff_t y = 0; y < SIDE; y++) add_row(values + (SIDE * i + y) * w * c, work, w * c);
-    float *out = cells + i * k * c;
-    for (ptrdiff_t j = 0; j < k; j++)
-      for (ptrdiff_t channel = 0; channel < c; channel++) {
-        const float *at = work + SIDE * j * c + channel;
-        out[j * c + channel] = share * ((at[0] + at[c]) + (at[2 * c] + at[3 * c]));
-      }
-  }
-  return OK;
-}
-
-// The share of a mask in each cell.
-EXPORT int cell_shares(const bool *mask, float *cells, ptrdiff_t h, ptrdiff_t w, ptrdiff_t r, ptrdiff_t k) {
-  if (h != SIDE * r || w != SIDE * k) return WRONG_SIZE;
-  for (ptrdiff_t i = 0; i < r; i++)
-    for (ptrdiff_t j = 0; j < k; j++) {
-      int count = 0;
-      for (ptrdiff_t y = 0; y < SIDE; y++)
-        for (ptrdiff_t x = 0; x < SIDE; x++) count += mask[(SIDE * i + y) * w + SIDE * j + x];
-      cells[i * k + j] = (float)count / (SIDE * SIDE);
+    const struct part down = part_of(i, h, r);
+    memset(work, 0, (size_t)((c + 1) * w) * sizeof *work);
+    for (ptrdiff_t y = down.first; y <= down.last; y++) {
+      const float weight = weight_of(down, y);
+      if (seen != NULL) add_seen_row(values + y * w * c, seen + y * w, sums, area, weight, w, c);
+      else add_row(values + y * w * c, sums, weight, w * c);
     }
+    for (ptrdiff_t j = 0; j < k; j++) {
+      const struct part across = parts[j];
+      float sum[CHANNELS] = {0}, own = 0;
+      for (ptrdiff_t x = across.first; x <= across.last; x++) {
+        const float weight = weight_of(across, x);
+        own += weight * area[x];
+        for (ptrdiff_t channel = 0; channel < c; channel++) sum[channel] += weight * sums[x * c + channel];
+      }
+      if (seen == NULL) own = whole;
+      for (ptrdiff_t channel = 0; channel < c; channel++) cells[(i * k + j) * c + channel] = own > 0 ? sum[channel] / own : 0;
+      shares[i * k + j] = own / whole;
+    }
+  }
   return OK;
 }
 

@@ -16,41 +16,30 @@ static inline struct taps taps_of(ptrdiff_t i, ptrdiff_t n) {
   return (struct taps){2 * i - 1, 2 * i + 1 < n ? 3 : 2, {1, 4, 1}};
 }
 
-// Mean of the known pixels of c channels for row i and column j of the coarser level; whether any is known.
-static bool mean_of_known(const float *values, const bool *known, float *mean, ptrdiff_t i, ptrdiff_t j, ptrdiff_t h,
-                          ptrdiff_t w, ptrdiff_t c) {
-  const struct taps down = taps_of(i, h), across = taps_of(j, w);
-  float whole = 0;
-  for (ptrdiff_t k = 0; k < c; k++) mean[k] = 0;
-  for (int y = 0; y < down.count; y++)
-    for (int x = 0; x < across.count; x++) {
-      const ptrdiff_t pixel = (down.first + y) * w + across.first + x;
-      const float weight = (float)known[pixel] * down.weight[y] * across.weight[x];
-      whole += weight;
-      for (ptrdiff_t k = 0; k < c; k++) mean[k] += weight * values[pixel * c + k];
+// The coarser level: means of the known pixels, and whether any is. `work`: a row's sums and weights.
+EXPORT int coarser_known(const float *values, const bool *known, float *work, float *coarse, bool *coarse_known, ptrdiff_t h,
+                         ptrdiff_t w, ptrdiff_t c, ptrdiff_t n, ptrdiff_t rows, ptrdiff_t columns) {
+  if (rows != (h + 1) / 2 || columns != (w + 1) / 2 || n < (c + 1) * w) return WRONG_SIZE;
+  float *sums = work, *weights = work + w * c;
+  for (ptrdiff_t i = 0; i < rows; i++) {
+    const struct taps down = taps_of(i, h);
+    memset(work, 0, (size_t)((c + 1) * w) * sizeof *work);
+    for (ptrdiff_t y = 0; y < down.count; y++) {
+      const ptrdiff_t row = (down.first + y) * w;
+      add_seen_row(values + row * c, known + row, sums, weights, down.weight[y], w, c);
     }
-  for (ptrdiff_t k = 0; k < c && whole > 0; k++) mean[k] /= whole;
-  return whole > 0;
-}
-
-// The same where both sides are even and the four pixels are known, as nearly everywhere; false elsewhere.
-static inline bool mean_of_four(const float *values, const bool *known, float *mean, ptrdiff_t w, ptrdiff_t c) {
-  if (!(known[0] & known[1] & known[w] & known[w + 1])) return false;
-  for (ptrdiff_t k = 0; k < c; k++) mean[k] = (((values[k] + values[c + k]) + values[w * c + k]) + values[(w + 1) * c + k]) / 4;
-  return true;
-}
-
-EXPORT int coarser_known(const float *values, const bool *known, float *coarse, bool *coarse_known, ptrdiff_t h,
-                         ptrdiff_t w, ptrdiff_t c, ptrdiff_t rows, ptrdiff_t columns) {
-  if (rows != (h + 1) / 2 || columns != (w + 1) / 2) return WRONG_SIZE;
-  const bool even = h % 2 == 0 && w % 2 == 0;
-  for (ptrdiff_t i = 0; i < rows; i++)
-    for (ptrdiff_t j = 0; j < columns; j++) {
-      const ptrdiff_t pixel = 2 * (i * w + j);
-      float *mean = coarse + (i * columns + j) * c;
-      coarse_known[i * columns + j] =
-          (even && mean_of_four(values + pixel * c, known + pixel, mean, w, c)) || mean_of_known(values, known, mean, i, j, h, w, c);
+    for (ptrdiff_t j = 0; j < columns; j++, coarse += c) {
+      const struct taps across = taps_of(j, w);
+      float whole = 0;
+      for (int x = 0; x < across.count; x++) whole += across.weight[x] * weights[across.first + x];
+      *coarse_known++ = whole > 0;
+      for (ptrdiff_t k = 0; k < c; k++) {
+        float sum = 0;
+        for (int x = 0; x < across.count; x++) sum += across.weight[x] * sums[(across.first + x) * c + k];
+        coarse[k] = whole > 0 ? sum / whole : 0;
+      }
     }
+  }
   return OK;
 }
 

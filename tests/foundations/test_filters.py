@@ -119,7 +119,7 @@ def shares(count):
     return table[:, 1:-1]
 
 
-def mean_of_known(values, known, coarse, coarse_known):
+def mean_of_known(values, known, *_):
     down, across = map(shares, known.shape)
     whole = np.einsum("ai,bj,ij->ab", down, across, known)[..., None]
     total = np.einsum("ai,bj,ijc->abc", down, across, values * known[..., None])

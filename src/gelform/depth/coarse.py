@@ -19,10 +19,12 @@ from gelform.depth.solvers.dct import DctSolver
 from gelform.foundations.filters import MIN_UNTOUCHED, fill_unknown, medians_where
 from gelform.foundations.pool import Pool
 
-COARSER = 4  # times fewer rows and columns; the same in native/depth/coarse.c
+COARSER = 4  # times fewer rows and columns
 
-_cell_means = Kernel("cell_means", "f32[h,w,c] values, out f32[n] work, out f32[r,k,c] cells")
-_cell_shares = Kernel("cell_shares", "bool[h,w] mask, out f32[r,k] cells")
+_cell_means = Kernel(
+    "cell_means",
+    "f32[h,w,c] values, bool[h,w]? seen, out f32[n] work, out f32[r,k,c] cells, out f32[r,k] shares",
+)
 _slopes_over_rest = Kernel(
     "slopes_over_rest",
     "out f32[r,k,3] change, out f32[r,k,2] slopes, out bool[r,k] rest, out f32[n] work, f32 most, f64 share",
@@ -40,22 +42,22 @@ class Coarse:
         self.shape = rows, columns
         self.pitch_px = shape[1] / columns, shape[0] / rows  # (x, y), distance of its cells
         self._pixels = shape[1], shape[0]
-        self._whole = (COARSER * rows, COARSER * columns) == tuple(shape)
         self._solver = DctSolver(self.shape, self.pitch_px)
 
-    def means(self, values: Array) -> Map:
-        """Means (rows, columns, ...) over the cells of a map (H, W) or (H, W, C), float32 in C order, or bool."""
-        if not self._whole:
-            values = values.astype(np.float32, copy=False)
-            return np.asarray(cv2.resize(values, self.shape[::-1], interpolation=cv2.INTER_AREA), np.float32)
-        cells = np.empty((*self.shape, *values.shape[2:]), dtype=np.float32)
-        if values.dtype == np.bool_:
-            _cell_shares(values, cells)
-        else:
-            rows = values.reshape(*values.shape[:2], -1)
-            work = np.empty(rows.shape[1] * rows.shape[2], dtype=np.float32)
-            _cell_means(rows, work, cells.reshape(*self.shape, -1))
-        return cells
+    def means(self, values: Map, seen: Mask | None = None) -> tuple[Map, Map]:
+        """Means (rows, columns, C) of the seen pixels (H, W) of a map (H, W, C) over the cells, 0 where none is; their share.
+
+        The map is float32 in C order; all its pixels are seen by default.
+        """
+        channels, width = values.shape[2], values.shape[1]
+        cells, shares = np.empty((*self.shape, channels), np.float32), np.empty(self.shape, np.float32)
+        work = np.empty((channels + 1) * width + 4 * self.shape[1], np.float32)
+        _cell_means(values, seen, work, cells, shares)
+        return cells, shares
+
+    def share(self, mask: Mask) -> Map:
+        """The share (rows, columns) of a mask (H, W) in each cell."""
+        return self.means(np.empty((*mask.shape, 0), np.float32), mask)[1]
 
     def depth_px(self, slopes: Slopes) -> Map:
         """Least-squares depth (rows, columns) of slopes there (rows, columns, 2), px; its mean is 0."""
@@ -126,8 +128,8 @@ class RestAnchor:
         fraction at rest are taken instead.
         """
         coarse, far = self._coarse, None
-        fraction = coarse.means(at_rest)
-        depth_px = coarse.depth_px(coarse.means(gradients)) if depth_px is None else depth_px
+        fraction = coarse.share(at_rest)
+        depth_px = coarse.depth_px(coarse.means(gradients)[0]) if depth_px is None else depth_px
         depth = depth_px * self._mm_per_px
         weight, distance = np.empty((2, *coarse.shape), np.float32)
         anchor = np.empty(self.shape, np.float32)
@@ -159,16 +161,10 @@ class CoarseDepth:
         It comes from a color change (H, W, 3) and the gradients (H, W, 2) of a color model. The slopes around hidden pixels
         (H, W) are continued across them.
         """
-        means = self._coarse.means
-        change, slopes = means(color_change), means(gradients)
-        if hidden is not None and hidden.any():
-            seen = ~hidden
-            part = means(seen)
-            known = part > 0
-            part[~known] = 1
-            change, slopes = (means(m * seen[..., None]) / part[..., None] for m in (color_change, gradients))
-            if known.any():
-                change, slopes = fill_unknown(change, known), fill_unknown(slopes, known)
+        seen = None if hidden is None or not hidden.any() else ~hidden
+        (change, share), (slopes, _) = (self._coarse.means(one, seen) for one in (color_change, gradients))
+        if seen is not None and (known := share > 0).any():
+            change, slopes = fill_unknown(change, known), fill_unknown(slopes, known)
         rest = np.empty(self._coarse.shape, dtype=np.bool_)
         work = np.empty(3 * rest.size, dtype=np.float32)
         _slopes_over_rest(change, slopes, rest, work, self._square, MIN_UNTOUCHED)

@@ -65,7 +65,8 @@ def blur_taps(blur_px: float) -> Floats:
 
 _coarser_known = Kernel(
     "coarser_known",
-    "f32[h,w,c] values, bool[h,w] known, out f32[rows,columns,c] coarse, out bool[rows,columns] coarse_known",
+    "f32[h,w,c] values, bool[h,w] known, out f32[n] work, out f32[rows,columns,c] coarse, "
+    "out bool[rows,columns] coarse_known",
 )
 _fill_from_coarser = Kernel(
     "fill_from_coarser",
@@ -100,7 +101,7 @@ def _filled(values: Map, known: Mask, pairs: int) -> Map:
     height, width, channels = values.shape
     coarse = np.empty(((height + 1) // 2, (width + 1) // 2, channels), dtype=np.float32)
     coarse_known = np.empty(coarse.shape[:2], dtype=bool)
-    _coarser_known(values, known, coarse, coarse_known)
+    _coarser_known(values, known, np.empty((channels + 1) * width, np.float32), coarse, coarse_known)
     _filled(coarse, coarse_known, 2 * pairs)
     runs = np.empty((height, width, 3), dtype=np.int32)
     _fill_from_coarser(coarse, values, np.empty_like(values), runs, known, pairs)

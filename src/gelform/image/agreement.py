@@ -191,16 +191,18 @@ def touch_in(image: Array, untouched: Array | None = None) -> SuspectedTouch | N
     image of the same gel at rest; then the change between both is looked at, which shows fainter touches. Objects without
     an edge in sight, and those in the outer eighth of the image, are not found.
     """
+    factor, image = _reduced(image)
     if untouched is None:
         energy, least = structure(_log(image)), TOUCHED_RATIO
     else:
-        energy, least = structure(_log(image) - _log(untouched)), TOUCHED_RATIO_OF_CHANGE
+        energy, least = structure(_log(image) - _log(_reduced(untouched)[1])), TOUCHED_RATIO_OF_CHANGE
     (height, width), (top, left) = energy.shape, (n // 8 for n in energy.shape)
     # Nearer to the border the blurs see its mirror image.
     inner = energy[top : height - top, left : width - left]
     y, x = np.unravel_index(int(inner.argmax()), inner.shape)
     most = float(inner[y, x])
-    found = SuspectedTouch(int(x) + left, int(y) + top, most, most / max(float(np.median(inner)), 1e-9))
+    place = (factor * (int(at) + before) + factor // 2 for at, before in ((x, left), (y, top)))
+    found = SuspectedTouch(*place, most, most / max(float(np.median(inner)), 1e-9))
     # What is less than two images at rest differ by is noise, which is more where the light is weak.
     if most < REST_SIGMA or (most < TOUCHED_ENERGY and found.ratio < least):
         return None
@@ -213,8 +215,18 @@ def touch_in_first(image: Array, untouched: Array) -> SuspectedTouch | None:
     found = touch_in(image, untouched)
     if found is None:
         return None
-    own, other = (structure(_log(one))[found.y_px, found.x_px] for one in (image, untouched))
+    of_both = [_reduced(one) for one in (image, untouched)]
+    own, other = (structure(_log(one))[found.y_px // factor, found.x_px // factor] for factor, one in of_both)
     return found if own > other else None
+
+
+def _reduced(image: Array) -> tuple[int, Array]:
+    """How many times fewer rows and columns, and the image (H, W, 3) with 240 to 479: what is finer is noise here."""
+    factor = max(1, int(scale_of(image.shape)))
+    if factor == 1:
+        return 1, image
+    size = image.shape[1] // factor, image.shape[0] // factor
+    return factor, np.asarray(cv2.resize(np.asarray(image, np.float32), size, interpolation=cv2.INTER_AREA))
 
 
 def _log(image: Array) -> Map:

@@ -165,11 +165,14 @@ class PreparedBackground:
         """
         if not hidden.any() or hidden.all():
             return image
-        divisor = self.background + np.float32(CHANGE_OFFSET)
-        filled = fill_unknown((image + np.float32(CHANGE_OFFSET)) / divisor, ~hidden)
-        levels = np.clip(filled[hidden] * divisor[hidden] - np.float32(CHANGE_OFFSET), 0, 255)
-        bridged = image.copy()
-        bridged[hidden] = np.rint(levels) if np.issubdtype(image.dtype, np.integer) else levels
+        offset, at = np.float32(CHANGE_OFFSET), np.flatnonzero(hidden)
+        divisor = self.background + offset
+        change = np.add(image, offset, dtype=np.float32)
+        change /= divisor
+        filled = fill_unknown(change, ~hidden)
+        levels = np.clip(filled.reshape(-1, 3)[at] * divisor.reshape(-1, 3)[at] - offset, 0, 255)
+        bridged = image.copy(order="C")
+        bridged.reshape(-1, 3)[at] = np.rint(levels) if np.issubdtype(image.dtype, np.integer) else levels
         return bridged
 
     def change(self, image: Array, light: FrameLight | None = None) -> Map:

@@ -310,8 +310,8 @@ class MarkerFollower:
         seen = seen & (astray < 0.45 * self.spacing_px)
         number = np.nonzero(seen)[0]
         place = (self.rest_px + shift)[number]
-        apart = np.linalg.norm(place[:, None] - place, axis=-1)
-        first, second = np.nonzero(np.triu(apart < self.radius_px, 1))
+        pairs = scipy.spatial.cKDTree(place).query_pairs(self.radius_px, output_type="ndarray")
+        first, second = pairs.T
         worse = np.where(astray[number[first]] > astray[number[second]], number[first], number[second])
         seen[worse] = False
         return seen

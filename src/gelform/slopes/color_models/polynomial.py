@@ -257,9 +257,10 @@ def bounded(gradients: Array, steepest: float) -> Map | None:
     low, high = value_range(gradients)
     if max(high, -low) <= steepest / 2**0.5:  # nearly always
         return None
-    size = np.linalg.norm(gradients, axis=-1, keepdims=True)
-    if size.max() <= steepest:
+    square = np.einsum("...c,...c->...", gradients, gradients)
+    if square.max() <= steepest**2:
         return None
+    size = np.sqrt(square)[..., np.newaxis]
     gradients *= np.minimum(1, steepest / np.maximum(size, steepest))
     return np.repeat(np.maximum(size - steepest, 0).astype(np.float32), 2, axis=-1)
 
