@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from gelform._native import Kernel
-from gelform.arrays import Array, Map, Mask, Slopes
+from gelform.arrays import Map, Mask, Slopes
 from gelform.depth.solvers.dct import DctSolver
 from gelform.foundations.filters import MIN_UNTOUCHED, fill_unknown, medians_where
 from gelform.foundations.pool import Pool
@@ -45,7 +45,7 @@ class Coarse:
         self._solver = DctSolver(self.shape, self.pitch_px)
 
     def means(self, values: Map, seen: Mask | None = None) -> tuple[Map, Map]:
-        """Means (rows, columns, C) of the seen pixels (H, W) of a map (H, W, C) over the cells, 0 where none is; their share.
+        """Means (rows, columns, C) of a map (H, W, C) over the seen pixels (H, W) of the cells, 0 without any; their share.
 
         The map is float32 in C order; all its pixels are seen by default.
         """
