@@ -201,8 +201,8 @@ def touch_in(image: Array, untouched: Array | None = None) -> SuspectedTouch | N
     inner = energy[top : height - top, left : width - left]
     y, x = np.unravel_index(int(inner.argmax()), inner.shape)
     most = float(inner[y, x])
-    place = (factor * (int(at) + before) + factor // 2 for at, before in ((x, left), (y, top)))
-    found = SuspectedTouch(*place, most, most / max(float(np.median(inner)), 1e-9))
+    x_px, y_px = (factor * (int(at) + before) + factor // 2 for at, before in ((x, left), (y, top)))
+    found = SuspectedTouch(x_px, y_px, most, most / max(float(np.median(inner)), 1e-9))
     # What is less than two images at rest differ by is noise, which is more where the light is weak.
     if most < REST_SIGMA or (most < TOUCHED_ENERGY and found.ratio < least):
         return None
