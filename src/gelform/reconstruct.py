@@ -203,8 +203,9 @@ class FrameRecord:
     def contact(self) -> Mask:
         """Where something touches (H, W)."""
         depth, sigma, deviations, known = self.touch
-        of_frame = self._sigma("outline"), self._sigma("deepest")
-        return self.today.contact(depth, sigma, deviations, known, *of_frame)
+        errors, most_mm = self.depth_errors, self.fixed.limit.ignorance_mm
+        deepest = None if errors is None else partial(errors.deepest_sigma, most_mm)
+        return self.today.contact(depth, sigma, deviations, known, self._sigma("outline"), deepest)
 
     @once
     def touch(self) -> tuple[Map, Any, SlopeDeviations | None, Mask]:

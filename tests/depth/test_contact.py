@@ -73,7 +73,7 @@ def test_the_deepest_region_stands_by_a_deviation_of_its_own():
     whole = 0.8 * deep + 0.5 * less
     number, labels, depth, sigma, *maps = regions_of(deep | less, depth_of(whole), 0.08, whole)
     assert judge()(number, labels, depth, sigma, *maps)[0].tolist() == [False, False, False]
-    own = judge()(number, labels, depth, sigma, *maps, sigma / 10)[0]
+    own = judge()(number, labels, depth, sigma, *maps, lambda place: sigma[place] / 10)[0]
     assert own[labels[60, 50]]
     assert not own[labels[60, 104]]
 

@@ -123,7 +123,7 @@ def test_a_valley_makes_the_deepest_contact_no_less_certain():
     """Noise of 10 um, and a border that sinks by 1 mm: twice the mean of its squares is no error of a hill far from it."""
     noise = np.kron(np.random.default_rng(0).normal(0, 0.01, (30, 40)), np.ones((4, 4)))
     found = errors_of(noise + bump(1.0) + bump(-1.0, (20, 4)), factor=1e-3)
-    assert found.sigma(9.0, "deepest")[60, 80] == pytest.approx((PULL * 0.01**2) ** 0.5, rel=0.3)
+    assert found.deepest_sigma(9.0, (60, 80)) == pytest.approx((PULL * 0.01**2) ** 0.5, rel=0.3)
     assert found.sigma(9.0, "outline")[60, 80] == pytest.approx((PULL * 0.01**2) ** 0.5, rel=0.3)
     assert found.sigma(9.0, "contact")[60, 80] > 0.05
 

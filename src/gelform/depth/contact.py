@@ -359,7 +359,8 @@ class Evidence:
         evidence: Map,  # (H, W), square of the mean pressure around over its variance
         smooth: Map,  # (H, W), the depth smoothed
         bent: Map,  # (H, W), minus its Laplacian
-        deepest_sigma: Map | None = None,  # (H, W), mm, the deviation where the deepest region is
+        # of the deviation, mm, of the deepest region by its deepest pixel (y, x)
+        deepest_sigma: Callable[[tuple[int, int]], float] | None = None,
     ) -> tuple[Mask, NDArray[np.int32]]:
         """Whether each label (number + 1,) is a contact, and the (y, x) of its deepest pixel (number + 1, 2)."""
         factor, area = self.noise_factor, self.pitch[0] * self.pitch[1]
@@ -372,7 +373,7 @@ class Evidence:
         pixels, deepest_mm, x, y, deviation, square, own_mm = measures.T
         if number and deepest_sigma is not None:
             k = int(np.argmax(np.minimum(own_mm, deepest_mm)))
-            deviation[k] = deepest_sigma[int(y[k]), int(x[k])]
+            deviation[k] = deepest_sigma((int(y[k]), int(x[k])))
         # A depth is over the gel around, which is off by as much, so the variance of the difference is twice its own.
         own = np.minimum(own_mm, deepest_mm) / np.maximum(np.sqrt(2 * deviation**2 + excess), 1e-9)
         stands = (pixels >= self.min_area_mm2 / area) & (np.minimum(own, np.sqrt(square)) > factor)
@@ -504,7 +505,8 @@ class PreparedContact:
         slopes: SlopeDeviations | None = None,
         known: Mask | None = None,  # (H, W), pixels whose depth was not filled in
         own_sigma: Map | None = None,  # the one that the frame itself shows, by which outlines are drawn
-        deepest_sigma: Map | None = None,  # the one by which the deepest region stands
+        # mm, the one by which the deepest region stands, of its deepest pixel (y, x)
+        deepest_sigma: Callable[[tuple[int, int]], float] | None = None,
     ) -> Mask:
         """The contact mask (H, W) of a depth."""
         if sigma is None:  # the median of negative depths tells the noise, as of half a Gaussian

@@ -98,7 +98,7 @@ class DepthSigma:
         return DepthErrors(self.coarse, anywhere, of_contact, *numbers)
 
 
-Purpose = Literal["stated", "contact", "deepest", "outline", "valley"]
+Purpose = Literal["stated", "contact", "outline", "valley"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +146,6 @@ class DepthErrors:
         - stated: what a result states
         - contact: whether something touches: by the negative depths of the whole frame, because a hill that another light
           makes may lie far from the valleys that it makes
-        - deepest: the same of the deepest region: valleys beside it, which may be its reaction, do not count
         - outline: where a contact ends: by negative depths alone, those around each pixel too
         - valley: whether a valley is a touch in the background: by the slopes alone, as if negative depths were no error
         """
@@ -157,11 +156,14 @@ class DepthErrors:
             found = self.coarse_variance + np.square(self.common_mm)
         elif purpose == "contact":
             found = self._with(np.maximum(own, self.own_of_frame), variance)
-        elif purpose == "deepest":
-            found = self._with(self.usual_of_frame, variance)
         else:
             found = self._with(np.maximum(own, self.usual_of_frame), np.zeros_like(own))
         return self.coarse.root_at_pixels(found, most_mm, lost)
+
+    def deepest_sigma(self, most_mm: float, place: tuple[int, int]) -> float:
+        """That of a contact whose deepest pixel is (y, x): valleys beside it, which may be its reaction, do not count."""
+        variance = self._with(self.usual_of_frame, self.contact_spread)
+        return min(self.coarse.at_pixel(variance, place) ** 0.5, most_mm)
 
     def _with(self, own: Map | np.float32, variance: Map | np.float32) -> Map:
         return np.asarray(variance + np.float32(PULL) * np.maximum(own - variance, 0), dtype=np.float32)
@@ -177,12 +179,20 @@ class DepthErrors:
 
         A part behind walls, as the top of a punch, is as wrong as they are.
         """
-        parts, labels = cv2.connectedComponents((self.means[5] > 0.5).view(np.uint8), connectivity=4)
-        if parts > 1 and depth.any():
-            largest = labels == 1 + np.bincount(labels.ravel())[1:].argmax()
-            depth -= np.median(depth[largest])
-            depth[largest] = 0
+        if self._largest_rest is not None and depth.any():
+            depth -= medians_where(depth[..., np.newaxis], self._largest_rest)[0]
+            depth[self._largest_rest] = 0
         return depth
+
+    @once
+    def _largest_rest(self) -> Mask | None:
+        """The largest part (r, c) at rest; None without one."""
+        parts, labels, figures, _ = cv2.connectedComponentsWithStats(
+            (self.means[5] > 0.5).view(np.uint8), connectivity=4
+        )
+        if parts < 2:
+            return None
+        return np.asarray(labels == 1 + figures[1:, cv2.CC_STAT_AREA].argmax(), dtype=np.bool_)
 
 
 def squared_factor(square: Map, own: Map, per_unit: Floats) -> Map:
