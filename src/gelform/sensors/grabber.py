@@ -123,12 +123,12 @@ class Newest(Generic[Value]):
         with self.changed:
             if (away_s := time.monotonic() - self._taken_s) >= 0:
                 self._away_s.append(away_s)
-            least, fresh_s = max(number + 1, self._expected), self._fresh_s
+            least, fresh_s, held = max(number + 1, self._expected), self._fresh_s, self.number
             self._waiting += 1
             self.changed.notify_all()
             if (self.age_s or 0.0) > fresh_s:  # the making of a newer one begins with this question
                 patience_s = min(2 * fresh_s, inf if timeout_s is None else timeout_s)
-                self.changed.wait_for(lambda held=self.number: self.number > held or self.ended, patience_s)
+                self.changed.wait_for(lambda: self.number > held or self.ended, patience_s)
             self.changed.wait_for(lambda: self.number >= least or self.ended, timeout_s)
             self._waiting -= 1
             if self.number > number:
