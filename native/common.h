@@ -136,6 +136,7 @@ static inline void add_seen_row(const float *row, const bool *seen, float *sums,
   if (c == 1) add_seen(row, seen, sums, area, weight, w, 1);
   else if (c == 2) add_seen(row, seen, sums, area, weight, w, 2);
   else if (c == 3) add_seen(row, seen, sums, area, weight, w, 3);
+  else if (c == 0) add_seen(row, seen, sums, area, weight, w, 0);
   else add_seen(row, seen, sums, area, weight, w, c);
 }
 

@@ -17,12 +17,25 @@ static inline struct part part_of(ptrdiff_t i, ptrdiff_t n, ptrdiff_t count) {
   return (struct part){first, last, (float)((double)(first + 1) - from), (float)(to - (double)last)};
 }
 
-static inline float weight_of(struct part part, ptrdiff_t at) {
-  return at == part.first ? part.of_first : at == part.last ? part.of_last : 1;
+// The part's sum of values `c` apart.
+static inline float sum_of(struct part part, const float *values, ptrdiff_t c) {
+  float sum = part.of_first * values[part.first * c] + part.of_last * values[part.last * c];
+  for (ptrdiff_t x = part.first + 1; x < part.last; x++) sum += values[x * c];
+  return sum;
 }
 
 static inline void add_row(const float *restrict row, float *restrict sums, float weight, ptrdiff_t n) {
   for (ptrdiff_t i = 0; i < n; i++) sums[i] += weight * row[i];
+}
+
+// A row of cells from the sums of its rows of pixels.
+static inline void cells_of_row(const struct part *restrict parts, const float *restrict sums, const float *restrict area, float whole,
+                                float *restrict means, float *restrict shares, ptrdiff_t k, ptrdiff_t c) {
+  for (ptrdiff_t j = 0; j < k; j++) {
+    const float own = area != NULL ? sum_of(parts[j], area, 1) : whole, per = own > 0 ? 1 / own : 0;
+    for (ptrdiff_t channel = 0; channel < c; channel++) means[j * c + channel] = per * sum_of(parts[j], sums + channel, c);
+    shares[j] = own / whole;
+  }
 }
 
 // Means (r, k, c) of the seen pixels of a map over as many cells, 0 in a cell without any; and the share (r, k) of its area that
@@ -38,22 +51,15 @@ EXPORT int cell_means(const float *values, const bool *seen, float *work, float 
     const struct part down = part_of(i, h, r);
     memset(work, 0, (size_t)((c + 1) * w) * sizeof *work);
     for (ptrdiff_t y = down.first; y <= down.last; y++) {
-      const float weight = weight_of(down, y);
+      const float weight = y == down.first ? down.of_first : y == down.last ? down.of_last : 1;
       if (seen != NULL) add_seen_row(values + y * w * c, seen + y * w, sums, area, weight, w, c);
       else add_row(values + y * w * c, sums, weight, w * c);
     }
-    for (ptrdiff_t j = 0; j < k; j++) {
-      const struct part across = parts[j];
-      float sum[CHANNELS] = {0}, own = 0;
-      for (ptrdiff_t x = across.first; x <= across.last; x++) {
-        const float weight = weight_of(across, x);
-        own += weight * area[x];
-        for (ptrdiff_t channel = 0; channel < c; channel++) sum[channel] += weight * sums[x * c + channel];
-      }
-      if (seen == NULL) own = whole;
-      for (ptrdiff_t channel = 0; channel < c; channel++) cells[(i * k + j) * c + channel] = own > 0 ? sum[channel] / own : 0;
-      shares[i * k + j] = own / whole;
-    }
+    const float *of_row = seen != NULL ? area : NULL;
+    float *means = cells + i * k * c, *of_cells = shares + i * k;
+    if (c == 3) cells_of_row(parts, sums, of_row, whole, means, of_cells, k, 3);
+    else if (c == 2) cells_of_row(parts, sums, of_row, whole, means, of_cells, k, 2);
+    else cells_of_row(parts, sums, of_row, whole, means, of_cells, k, c);
   }
   return OK;
 }
