@@ -24,8 +24,9 @@ from gelform.sensors.playback import Every, encoded_from_frame
 
 def indentation_m(result: Reconstruction) -> NDArray[np.float32]:
     """Depth (H, W) in meters, positive where pressed, NaN where unknown, in little-endian numbers."""
-    meters = (result.depth_mm * M_PER_MM).astype("<f4")
-    meters[~result.known] = np.nan
+    meters = (result.depth_mm * M_PER_MM).astype("<f4", copy=False)
+    if not result.known.all():
+        meters[~result.known] = np.nan
     return meters
 
 
@@ -108,13 +109,14 @@ class RosMessages:
         height, width = result.shape
         points = points_from_result(result)
         points *= M_PER_MM
-        points = points.astype("<f4", copy=False)
-        points[~result.known.ravel()] = np.nan
+        points, is_dense = points.astype("<f4", copy=False), bool(result.known.all())
+        if not is_dense:
+            points[~result.known.ravel()] = np.nan
         field = self._type("sensor_msgs/msg/PointField")
         # 7 is float32.
         fields = [field(name=n, offset=4 * k, datatype=7, count=1) for k, n in enumerate("xyz")]
         form = {"fields": fields, "is_bigendian": False, "point_step": 12, "row_step": 12 * width}
-        data, is_dense = points.view(np.uint8).ravel(), bool(result.known.all())
+        data = points.view(np.uint8).ravel()
         size = {"height": height, "width": width}
         return self._message("points", stamp_ns, self.gel_frame, **size, **form, data=data, is_dense=is_dense)
 
