@@ -182,11 +182,13 @@ def effect(number: Number, part: str) -> str:
 def row_of(number: Number, asked: Iterable[str], known: dict[str, str | None]) -> dict[str, str | None]:
     """What a number does in each part; None of a part that does not reach it."""
     row = dict(known)
-    for part in [part for part in parts_of(number.room) if part in asked and part not in known]:
-        if part in ROOMS and any(said not in (None, "nothing") for said in row.values()):
-            break
-        is_run = number.in_c or is_reached(number, _BEFORE[part][1])
-        row[part] = effect(number, part) if is_run else None
+    for part in PARTS:
+        reached = [said for said in row.values() if said is not None]
+        if part not in parts_of(number.room, bool(reached)) or set(reached) - {"nothing"} and part in ROOMS:
+            continue
+        if part in asked and part not in known:
+            is_run = number.in_c or is_reached(number, _BEFORE[part][1])
+            row[part] = effect(number, part) if is_run else None
     return row
 
 

@@ -317,14 +317,13 @@ PARTS: dict[str, Callable[[dict[str, bytes]], Figures]] = {
     "motion": motion,
     "presses": presses,
 }
-ROOMS = {  # the parts whose trials take ten seconds and more are for the numbers of their own room
-    "circles": "calibration", "streams": "sensors", "motion": "motion", "presses": "calibration",
-}  # fmt: skip
+# The parts whose trials take ten seconds and more are for the numbers of one room, and for those that no other part reaches.
+ROOMS = {"circles": "calibration", "streams": "sensors", "motion": "motion", "presses": "calibration"}
 
 
-def parts_of(room: str) -> list[str]:
-    """The parts that a room's numbers are tried on, the quick ones first."""
-    return [part for part in PARTS if ROOMS.get(part, room) in room.split("/")]
+def parts_of(room: str, reached: bool = True) -> list[str]:
+    """The parts that a room's numbers are tried on, the quick ones first; all of them if none `reached` the number."""
+    return [part for part in PARTS if not reached or ROOMS.get(part, room) in room.split("/")]
 
 
 def figures_of(part: str, shared: dict[str, bytes]) -> Figures:

@@ -29,7 +29,7 @@ left out. A name in capitals is a constant; other rows are lines of code with a 
 `python benchmarks/constants.py --page` writes this page from the code. "x 1.2" is what a multiplication by 1.2 changes in
 the parts of that script that execute the line, as recorded in `benchmarks/results/constants.json`: force, changed light,
 dots, frames of five sets; where none of these changes, motion for numbers of that room, streams with faults for those of
-sensors, circles and presses for those of calibration. "nothing" also holds for a division. "not reached" is a line that no
+sensors, circles and presses for those of calibration, and all for numbers that none of the four reaches. "nothing" also holds for a division. "not reached" is a line that no
 part executes.
 
 | room | constants | lines with other numbers | tried | do nothing |
@@ -56,7 +56,7 @@ def outcome(number: Number, rows: Mapping[str, Any]) -> str:
     changed = [f"{part}: {said}" for part, said in reached.items() if said != "nothing"]
     if changed:
         return "; ".join(changed)
-    if not set(row["parts"]) >= set(parts_of(number.room)):
+    if not set(row["parts"]) >= set(parts_of(number.room, bool(reached))):
         return "not tried on all"
     return "nothing" if reached else "not reached"
 
