@@ -184,7 +184,7 @@ def row_of(number: Number, asked: Iterable[str], known: dict[str, str | None]) -
     row = dict(known)
     for part in PARTS:
         reached = [said for said in row.values() if said is not None]
-        if part not in parts_of(number.room, bool(reached)) or set(reached) - {"nothing"} and part in ROOMS:
+        if part not in parts_of(number.room, bool(reached)) or (set(reached) - {"nothing"} and part in ROOMS):
             continue
         if part in asked and part not in known:
             is_run = number.in_c or is_reached(number, _BEFORE[part][1])

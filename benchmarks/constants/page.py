@@ -29,8 +29,8 @@ left out. A name in capitals is a constant; other rows are lines of code with a 
 `python benchmarks/constants.py --page` writes this page from the code. "x 1.2" is what a multiplication by 1.2 changes in
 the parts of that script that execute the line, as recorded in `benchmarks/results/constants.json`: force, changed light,
 dots, frames of five sets; where none of these changes, motion for numbers of that room, streams with faults for those of
-sensors, circles and presses for those of calibration, and all for numbers that none of the four reaches. "nothing" also holds for a division. "not reached" is a line that no
-part executes.
+sensors, circles and presses for those of calibration, and all for numbers that none of the four reaches. "nothing" also
+holds for a division. "not reached" is a line that no part executes.
 
 | room | constants | lines with other numbers | tried | do nothing |
 |---|---|---|---|---|
