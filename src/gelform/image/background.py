@@ -170,7 +170,8 @@ class PreparedBackground:
         change = np.add(image, offset, dtype=np.float32)
         change /= divisor
         filled = fill_unknown(change, ~hidden)
-        levels = np.clip(filled.reshape(-1, 3)[at] * divisor.reshape(-1, 3)[at] - offset, 0, 255)
+        there = (np.take(one.reshape(-1, 3), at, axis=0) for one in (filled, divisor))
+        levels = np.clip(np.multiply(*there) - offset, 0, 255)
         bridged = image.copy(order="C")
         bridged.reshape(-1, 3)[at] = np.rint(levels) if np.issubdtype(image.dtype, np.integer) else levels
         return bridged

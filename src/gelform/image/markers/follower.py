@@ -168,7 +168,7 @@ class MarkerFollower:
         self._candidates = CandidateFinder(logs, self.rest_px, radius)
         # Positions (M, 2) of the pixels that dots darken at rest, and the nearest dot (M,) of each.
         self._dark = np.stack(np.nonzero(self._finder.untouched.mask)[::-1], axis=-1)
-        self._owner = np.linalg.norm(self._dark[:, None] - self._all, axis=-1).argmin(axis=1)
+        self._owner = np.asarray(scipy.spatial.cKDTree(self._all).query(self._dark)[1])
 
     def __len__(self) -> int:
         return len(self.rest_px)
