@@ -11,7 +11,7 @@ import json
 import os
 import struct
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from hashlib import blake2b
@@ -285,7 +285,7 @@ class RclpyNode:
 
     def publish(self, frame: Frame, result: Reconstruction, stamp_ns: int) -> None:
         """As `ZenohNode.publish`; topics without a subscriber cost nothing."""
-        heard = {name for name, publisher in self._to.items() if publisher.get_subscription_count()}
+        heard = heard_of(self._to)
         for name, message in self._messages.due(frame, result, stamp_ns, heard.__contains__):
             self._to[name].publish(bytes(message))  # rclpy publishes bytes as they are: CDR
 
@@ -295,6 +295,11 @@ class RclpyNode:
     def __exit__(self, *_: object) -> None:
         self._node.destroy_node()
         self._context.try_shutdown()
+
+
+def heard_of(publishers: Mapping[str, Any]) -> set[str]:
+    """The topics of rclpy's publishers that have a subscriber."""
+    return {name for name, publisher in publishers.items() if publisher.get_subscription_count()}
 
 
 def _publisher(session: Any, key: str, gid: bytes) -> Callable[[bytes], None]:
