@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import itertools
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ def usable_isas() -> list[str]:
     return [isa for isa in ISAS if isa == "base" or library("base").cpu_level() >= ISAS[isa]]
 
 
+@cache
 def declarations() -> dict[str, tuple[str, Kernel]]:
     """Exported name -> the variable that holds its kernel in Python, and the kernel.
 
@@ -31,7 +33,8 @@ def declarations() -> dict[str, tuple[str, Kernel]]:
     for path in sorted(
         (*Path(gelform.__file__).parent.rglob("*.py"), *Path(__file__).parent.rglob("test_*.py"))
     ):
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        text = path.read_text(encoding="utf-8")
+        for node in ast.parse(text).body if " = Kernel(" in text else ():
             if isinstance(node, ast.Assign) and ast.unparse(node.value).startswith("Kernel("):
                 name, declaration = (ast.literal_eval(argument) for argument in node.value.args)
                 found[name] = ast.unparse(node.targets[0]), Kernel(name, declaration)

@@ -6,6 +6,7 @@ The color model and the forward response of all presses, the gel's relaxation, a
 import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -74,17 +75,18 @@ def test_a_calibration_of_large_images_is_that_of_small_ones_and_reads_them_at_t
         large = np.clip(np.rint(large + rng.normal(0, 1, large.shape)), 0, 255)
         return large.astype(image.dtype)
 
+    some = presses.presses[::2]
     read = replace(
         presses,
-        presses=tuple(replace(press, image=larger(press.image)) for press in presses.presses),
+        presses=tuple(replace(press, image=larger(press.image)) for press in some),
         background=larger(presses.background),
         mm_per_px=presses.mm_per_px / 4,
     )
     reduced = replace(read.reduced(), reduced_by=1)
-    made = gelform.calibrate(read)
+    made = gelform.calibrate(read, color_model="polynomial")
     assert (made.image_shape, made.mm_per_px) == (read.image_shape, read.mm_per_px)
     assert set(made.training_digests) <= {press.digest for press in read.presses}
-    small = gelform.calibrate(reduced)
+    small = gelform.calibrate(reduced, color_model="polynomial")
     for large_row, small_row in zip(made.report.presses, small.report.presses):
         assert large_row.contact_radius_px == pytest.approx(2 * small_row.contact_radius_px)
         assert large_row.center_x_px == pytest.approx(2 * small_row.center_x_px + 0.5)
@@ -119,11 +121,12 @@ def test_one_model_can_be_asked_for_and_what_is_no_presses_is_said(presses, lamb
 
 @pytest.mark.slow
 def test_two_calibrations_in_two_threads_are_those_of_each_alone(presses):
-    halves = [presses.subset(range(start, len(presses.presses), 2)) for start in (0, 1)]
+    halves = [presses.subset(range(start, 10, 2)) for start in (0, 1)]
+    made = partial(gelform.calibrate, color_model="polynomial")  # in fewer trials than `auto`
     with ThreadPoolExecutor(2) as pool:
-        together = list(pool.map(gelform.calibrate, halves))
+        together = list(pool.map(made, halves))
     for half, found in zip(halves, together):
-        alone = replace(gelform.calibrate(half), created_utc="")
+        alone = replace(made(half), created_utc="")
         assert replace(found, created_utc="").digest == alone.digest
 
 
@@ -169,7 +172,7 @@ def test_presses_train_up_to_the_measured_edge(calibration, presses, prepared, f
     """That of the presses that fit; fewer than 12 are taken to have the usual one."""
     accepted = refine(prepared).of_accepted(prepared)
     assert calibration.settings["contact_radius_ratio"] == contact_radius_ratio(*accepted) != USUAL_EDGE
-    few = gelform.calibrate(presses.subset(range(7)))
+    few = gelform.calibrate(presses.subset(range(7)), color_model="lambertian")
     assert few.settings["contact_radius_ratio"] == USUAL_EDGE
 
 
@@ -518,8 +521,8 @@ def test_errors_are_counted_inside_the_edge_of_the_calibrations_contacts(calibra
     assert without.where["contact"]["normal_deg"] == without.where["rim"]["normal_deg"]
 
 
-PRESS_SETS = (
-    "homemade-even/a", "homemade-even/b", "homemade-hd", "digit-c", "digit-ball", "mini-d", "gelslim", "gelslim-dots",
+PRESS_SETS = (  # homemade-even/b is calibrated below
+    "homemade-even/a", "homemade-hd", "digit-c", "digit-ball", "mini-d", "gelslim", "gelslim-dots",
     "gelsight-ball-deep", "mini-ball",
 )  # fmt: skip
 
@@ -531,7 +534,7 @@ def test_evaluate_takes_the_presses_that_calibrate_took(data, name):
     presses = gelform.read_presses(data / name)
     presses = presses.subset(range(0, len(presses.presses), -(-len(presses.presses) // 6)))
     presses = replace(presses, presses=tuple(replace(one, label=None) for one in presses.presses))
-    presses = halved(presses) if name.startswith("homemade") else presses
+    presses = halved(presses) if max(presses.image_shape) > 320 else presses
     calibration = gelform.calibrate(presses, color_model="polynomial", start=None)
     rows = gelform.evaluate(calibration, presses).rows
     used = {row.name for row in calibration.report.presses if row.accepted}

@@ -400,9 +400,10 @@ def test_fifteen_frames_of_five_presses_are_five_presses(presses):
     frames = replace(
         presses, presses=tuple(one for press in presses.presses[:5] for one in frames_of(press, 3))
     )
-    held = gelform.calibrate(frames)
+    held = gelform.calibrate(frames, color_model="polynomial")
     rows = held.report.presses
-    alone = gelform.calibrate(frames.subset([k for k, row in enumerate(rows) if row.repeats is None]))
+    first = frames.subset([k for k, row in enumerate(rows) if row.repeats is None])
+    alone = gelform.calibrate(first, color_model="polynomial")
     assert sum(row.accepted for row in rows) == held.settings["presses"] == 5
     assert held.held_out == alone.held_out
     assert held.report.candidates == alone.report.candidates
@@ -486,16 +487,18 @@ def test_imprints_of_a_ball_are_round_in_square_pixels(presses):
 )
 def test_real_imprints_are_round_fill_the_image_and_change_color_as_on_their_ball(data, name):
     presses = gelform.read_presses(data / name)
+    presses = halved(presses) if name.startswith("gelslim") else presses  # of 320x427 px
     prepared = prepare(presses.subset(range(0, len(presses.presses), 5)))
     contacts = [find_contact(press.color_change) for press in prepared]
     assert imprint_notes(light_response(prepared, contacts)) == ()
     larger = [replace(press, ball_radius_px=10 * press.ball_radius_px) for press in prepared]
     assert len(imprint_notes(light_response(larger, contacts))) == 1
-    presses = presses.subset(range(0, len(presses.presses), 2))
+    presses = presses.subset(range(0, len(presses.presses), 2 if len(presses.presses) < 60 else 3))
     assert imprints(presses) == ()
     assert surround_notes(presses) == ()
     if name in ("mini-ball", "gelslim", "gelslim-dots"):
-        assert "1.2" in imprints(presses, 1.25)[0] or "1.3" in imprints(presses, 1.25)[0]
+        (note,) = imprints(presses, 1.25)
+        assert "1.2" in note or "1.3" in note
 
 
 def test_a_ball_ten_times_too_large_changes_color_too_much(prepared, found):

@@ -54,7 +54,7 @@ def hub(sensor, calibration, library, show):
     made = Hub(calibrations=Calibrations())
 
     def opened():
-        source = SimulatedSource(sensor)
+        source = SimulatedSource(sensor, rate_hz=20)  # enough to look at; 60 keep a processor busy
         source.rest()
         return source
 

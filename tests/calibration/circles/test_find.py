@@ -313,6 +313,7 @@ def test_a_circle_by_hand_is_taken_unless_a_clear_ball_is_elsewhere(even, antisy
 @pytest.mark.slow
 def test_presses_of_home_made_sensors_are_found_without_their_circles(data):
     presses = gelform.read_presses(data / "homemade-even" / "a")
+    presses = presses.subset(range(0, len(presses.presses), 2))  # of 798x750 px
     bare = tuple(replace(press, label=None) for press in presses.presses)
     for labeled, press in zip(presses.presses, prepare(replace(presses, presses=bare))):
         x, y, radius = labeled.label
