@@ -222,6 +222,9 @@ class FrameRecord:
     @once
     def health(self) -> tuple[Finding, ...]:
         """All findings."""
+        is_touched = partial(touch_in, self.seen.image, self.today.untouched_image.background)
+        maps = self.contact, self.depth_mm, self.touch[1], self.slopes.at_rest, self.known
+        unknown = unknown_contact(*maps, is_touched, self.seen.hidden, self.fixed.pitch)
         of_depth: tuple[Finding, ...] = ()
         if self.depth_errors is not None:
             of_depth = steep_finding(self.depth_mm, self.contact, self.budget.steep, self.depth_errors)
@@ -230,13 +233,10 @@ class FrameRecord:
                 touched = bool(self.contact.any())
                 of_depth += self.today.contact.pressed_background(*self._touch("valley"), touched=touched)
             if not any(one.name == "background_pressed" for one in of_depth):
-                of_depth += off_rest(self.depth_mm, self.depth_sigma_mm, self.contact, self.known)
+                of_depth += off_rest(self.depth_mm, self.depth_sigma_mm, self.contact, self.known, unknown)
         elif self.fixed.known is None:
             slopes = self.slopes.gradients, self.gradients
             of_depth = contradicted_slopes(*slopes, self.depth_mm, self.contact)
-        is_touched = partial(touch_in, self.seen.image, self.today.untouched_image.background)
-        maps = self.contact, self.depth_mm, self.touch[1], self.slopes.at_rest, self.known
-        unknown = unknown_contact(*maps, is_touched, self.seen.hidden, self.fixed.pitch)
         return *self.findings, *of_depth, *unknown
 
     @property

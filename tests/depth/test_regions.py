@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from gelform.depth import contact as regions_module
 from gelform.depth.contact import Surround, contacts_from_mask, off_rest, unknown_contact
+from gelform.errors import Finding
 from kernel_agreement import assert_kernel_agrees
 
 UNEVEN_PITCH = (0.05, 0.08)
@@ -128,6 +129,7 @@ def test_a_gel_that_changed_without_a_contact_is_said():
     rest[10:30, 10:30] = False
     (one,) = found(none)
     assert (one.name, one.figure) == ("contact_unknown", pytest.approx(0.2))
+    assert one.message.endswith("Depth reads up to 0.01 +- 0.01 mm at (10, 10) px.")
     assert found(~rest) == ()
     assert found(none, False) == (), "here and there, as by compression"
     known[5:35, 5:35] = False  # another fault, without a depth that is sure
@@ -188,14 +190,17 @@ def test_depth_that_no_contact_makes_is_said():
     depth, sigma = np.zeros((40, 50), np.float32), np.full((40, 50), 0.03, np.float32)
 
     def found():
-        return [(round(one.figure, 2), one.message) for one in off_rest(depth, sigma, contact, known)]
+        return [(round(one.figure, 2), one.message) for one in off_rest(depth, sigma, contact, known, unknown)]
 
+    unknown = ()
     depth[3, 4] = 0.05
     assert found() == []
     depth[3, 4] = 0.2
     ((figure, message),) = found()
     assert figure == 0.2
     assert "pressed in by 0.20 +- 0.03 mm at (4, 3) px" in message
+    unknown = (Finding("contact_unknown", "", 0.5),)
+    assert found() == [], "that a contact is unknown says it"
     contact[3, 4] = True
     assert found() == []
     depth[30, 2] = -0.15

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import cv2
@@ -135,24 +135,32 @@ def contacts_from_mask(
     return tuple(sorted(found, key=lambda one: (-one.area_px, one.label))), labels
 
 
-def off_rest(depth: Map, sigma: Map | None, contact: Mask, known: Mask) -> tuple[Finding, ...]:
+def off_rest(
+    depth: Map, sigma: Map | None, contact: Mask, known: Mask, unknown: Sequence[Finding] = ()
+) -> tuple[Finding, ...]:
     """One finding if depth (H, W) is off 0 where no contact (H, W) makes it so: a valley deeper than any contact, or a hill.
 
-    Up to what gel that looks at rest is known to, `REST_SIGMA_MM`, nothing is said. `sigma` (H, W) is the depth's.
+    Up to what gel that looks at rest is known to, `REST_SIGMA_MM`, nothing is said. `sigma` (H, W) is the depth's. A hill is
+    that of a touch where `unknown` contacts are found, which tell its height.
     """
     low, high = value_range(depth * known)
-    hill = 0.0 if contact.any() else high
+    hill = 0.0 if contact.any() or unknown else high
     off_mm = max(hill, -low if -low > high else 0.0)
     if off_mm <= REST_SIGMA_MM:
         return ()
-    y, x = divmod(int(np.argmax(np.where(known, depth if off_mm == hill else -depth, 0))), depth.shape[1])
     what = "no contact is sure, yet the gel seems pressed in" if off_mm == hill else "the gel seems to rise"
-    sure = "" if sigma is None else f" +- {sigma[y, x]:.2f}"
     message = (
-        f"Depth is off: {what} by {off_mm:.2f}{sure} mm at ({x}, {y}) px. It is noise where light is weak, a border that is "
-        "read wrong, or a touch too faint to tell."
+        f"Depth is off: {what} by {_peak(depth if off_mm == hill else -depth, sigma, known)}. It is noise where light is weak, "
+        "a border that is read wrong, or a touch too faint to tell."
     )
     return (Finding("off_rest", message, off_mm),)
+
+
+def _peak(depth: Map, sigma: Map | None, known: Mask) -> str:
+    """The largest known depth in words: its figure, its deviation if known, its place."""
+    y, x = divmod(int(np.argmax(np.where(known, depth, 0))), depth.shape[1])
+    sure = "" if sigma is None else f" +- {sigma[y, x]:.2f}"
+    return f"{depth[y, x]:.2f}{sure} mm at ({x}, {y}) px"
 
 
 UNKNOWN_SHARE = 1 / 3  # of a touched region, from which it is named
@@ -176,18 +184,20 @@ def unknown_contact(
 
     `is_touched` says whether the image has the structure of a touch: compressed video changes many colors a little.
     """
-    if found := _unknown_regions(contact, known, at_rest, hidden, depth, sigma, MIN_AREA_MM2 / pitch**2):
-        return found
+    found = _unknown_regions(contact, known, at_rest, hidden, depth, sigma, MIN_AREA_MM2 / pitch**2)
     if contact.any():
-        return ()
-    touched = float(np.count_nonzero(known & ~at_rest)) / max(float(np.count_nonzero(known)), 1.0)
-    if touched < 0.05 or not is_touched():  # noise leaves the color of rest at 0.1 %
-        return ()
-    message = (
-        f"Something touches the gel: {100 * touched:.0f} % of it changed. Where it presses and how deep is not known, "
-        "because the slopes there are not."
-    )
-    return (Finding("contact_unknown", message, touched),)
+        return found
+    if not found:
+        touched = float(np.count_nonzero(known & ~at_rest)) / max(float(np.count_nonzero(known)), 1.0)
+        if touched < 0.05 or not is_touched():  # noise leaves the color of rest at 0.1 %
+            return ()
+        message = (
+            f"Something touches the gel: {100 * touched:.0f} % of it changed. Where it presses and how deep is not known, "
+            "because the slopes there are not."
+        )
+        found = (Finding("contact_unknown", message, touched),)
+    reads = f"Depth reads up to {_peak(depth, sigma, known)}."
+    return replace(found[0], message=f"{found[0].message} {reads}"), *found[1:]
 
 
 def _unknown_regions(
