@@ -30,6 +30,7 @@ from gelform.calibration.inputs import (
     light_response,
     light_turn,
     make_findings,
+    mixed_balls,
     notes_of,
     radius_from_gradients,
     shape_notes,
@@ -556,3 +557,26 @@ def test_a_make_that_the_sensors_name_contradicts(presses):
     assert "read as those of a digit, but their sensor is called GelSight Mini, unit A" in found.message
     assert make_findings(replace(mini, make="gelsight-mini")) == ()
     assert make_findings(replace(mini, sensor_name="my sensor")) == ()
+
+
+@pytest.mark.slow
+def test_presses_of_two_balls_under_one_diameter_are_named(data):
+    """Held-out presses are read far better by two balls; they are not where all are of one."""
+    presses = gelform.read_presses(data / "mini-ball")
+    small, large = (
+        [i for i, one in enumerate(presses.presses) if one.ball_diameter_mm == mm] for mm in (6.31, 9.5)
+    )
+
+    def found(chosen, errors=(20.0,)):
+        some = presses.subset(chosen)
+        stated = tuple(replace(press, ball_diameter_mm=6.31) for press in some.presses)
+        return mixed_balls(locate(replace(some, presses=stated)), errors)
+
+    (mixed,) = found([*small[::6], *large[::3]])
+    named = {press.name for press in presses.subset(large).presses}
+    assert set(mixed.presses) <= named
+    assert len(mixed.presses) >= 6
+    assert mixed.read_mm / mixed.stated_mm == pytest.approx(1.5, rel=0.2)
+    assert mixed.sentence().startswith("Two balls seem to be under one diameter")
+    assert found(small[::4]) == found(large[::2]) == ()
+    assert found([*small[::6], *large[::3]], [4.0]) == (), "spheres are right"

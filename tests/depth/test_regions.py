@@ -190,7 +190,9 @@ def test_depth_that_no_contact_makes_is_said():
     depth, sigma = np.zeros((40, 50), np.float32), np.full((40, 50), 0.03, np.float32)
 
     def found():
-        return [(round(one.figure, 2), one.message) for one in off_rest(depth, sigma, contact, known, unknown)]
+        return [
+            (round(one.figure, 2), one.message) for one in off_rest(depth, sigma, contact, known, unknown)
+        ]
 
     unknown = ()
     depth[3, 4] = 0.05

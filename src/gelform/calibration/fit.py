@@ -27,6 +27,7 @@ from gelform.calibration.inputs import (
     input_notes,
     light_press_notes,
     make_findings,
+    mixed_balls,
     readings_of_errors,
 )
 from gelform.calibration.presses.folder import Presses, as_presses, with_view
@@ -109,12 +110,13 @@ def calibrate(
     folds = make_folds(located, progress=progress)
     fitted = fit(located, folds, color_model, compare=compare, progress=progress)
     judged = measure_held_out(fitted, progress=progress)
-    notes = input_notes(located)
+    mixed = mixed_balls(located, [errors.radius_percent for errors in judged.errors.values()])
+    notes = *(one.sentence() for one in mixed), *input_notes(located)
     made = replace(fitted.calibration, slope_sigma=judged.slope_sigma, forward=judged.forward)
     own = [presses.presses[i] for i in located.refined.accepted]
     circles = [located.refined.contacts[i] for i in located.refined.accepted]
     place_error = place_error_from_presses(made, own, circles)
-    report = report_of_run(fitted, judged, balls, notes=notes, seconds=time.monotonic() - began)
+    report = report_of_run(fitted, judged, (*balls, *mixed), notes=notes, seconds=time.monotonic() - began)
     made = replace(
         made,
         settings=replace(

@@ -12,6 +12,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import pi, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +33,8 @@ from gelform.calibration.circles.find import (
     training_samples,
     why_no_contact,
 )
-from gelform.calibration.circles.locate import Located, light_notes
-from gelform.calibration.coverage import NEEDED, SAMPLED, coverage_notes
+from gelform.calibration.circles.locate import Located, fit_model, light_notes
+from gelform.calibration.coverage import FOLDS, NEEDED, SAMPLED, coverage_notes
 from gelform.calibration.presses.press_set import NAMED, Presses
 from gelform.calibration.start import USUAL_SPREAD, Start
 from gelform.calibration_file import Calibration
@@ -41,6 +42,7 @@ from gelform.errors import CalibrationError, Finding
 from gelform.foundations.filters import SIGMA_OF_MEDIAN
 from gelform.image.agreement import check_background_of_frames, orientation_if_doubtful, touch_in_first
 from gelform.image.background import surround_finding
+from gelform.result.metrics import score_slopes
 from gelform.sensors.profiles import (
     PROFILES,
     SAME_SCALE,
@@ -69,10 +71,24 @@ class BallReading:
     sigma_mm: float
     by: str  # the model that read it
     own: bool = False  # made from these presses: that it agrees is no check
+    presses: tuple[
+        str, ...
+    ] = ()  # the names of those that it is of, where they are a part of one stated ball's
 
-    def to_dict(self) -> dict[str, float | str]:
-        """Its fields, `sigmas` and `checks`."""
-        return {**asdict(self), "sigmas": self.sigmas, "checks": self.checks}
+    def to_dict(self) -> dict[str, Any]:
+        """Its fields, `sigmas`, `checks` and `remedy`."""
+        return {**asdict(self), "sigmas": self.sigmas, "checks": self.checks, "remedy": self.remedy}
+
+    @property
+    def remedy(self) -> str:
+        """What to check where the diameters differ."""
+        if not self.presses:
+            return f"{REMEDY} Presses of another unit or of another ball contradict them."
+        return (
+            f"Write the diameter of each press's own ball into presses.csv: {len(self.presses)} of them "
+            f"({', '.join(self.presses[:NAMED])}{' ...' if len(self.presses) > NAMED else ''}) look like a ball "
+            f"{self.read_mm / self.stated_mm:.2g} times as large as that of the others."
+        )
 
     @property
     def sigmas(self) -> float:
@@ -85,6 +101,8 @@ class BallReading:
     def sentence(self) -> str:
         """The comparison in words."""
         read = f"{self.read_mm:.3g} ± {self.sigma_mm:.2g} mm"
+        if self.presses:
+            return f"Two balls seem to be under one diameter. {self.remedy}"
         if self.sigmas > MOST_SIGMAS:
             return (
                 f"The presses look like a ball of {read}, but the stated diameter is {self.stated_mm:g} mm. {REMEDY} "
@@ -167,6 +185,93 @@ def readings_of_errors(
     return tuple(readings)
 
 
+def mixed_balls(located: Located, radius_errors: Sequence[float]) -> tuple[BallReading, ...]:
+    """The ball of the presses that read as another than the other ones under its diameter; () if all read alike.
+
+    Presses are split between two balls, by the width of the contact at first; each goes to the ball by which a model of both
+    explains its slopes better. Two are likelier than one if held-out presses, each an observation of unknown variance, gain
+    more than the two parameters cost (G. Schwarz, Ann. Statist. 6, 1978). It is not asked while held-out spheres are right,
+    by their `radius_errors` (%).
+    """
+    chosen, refined = np.array(located.refined.accepted), located.refined
+    wide = np.array([refined.contacts[i].radius_px / located.prepared[i].ball_radius_px for i in chosen])
+    split, ratio, tried = wide > np.median(wide), 1.0, set[bytes]()
+    if np.nanmedian(np.abs(radius_errors)) <= 100 * SIZE_SIGMA:
+        return ()
+    while split.tobytes() not in tried:
+        if min(np.count_nonzero(part) for part in (split, ~split)) < NEEDED.model.presses:
+            return ()
+        tried.add(split.tobytes())
+        ratio = _size_ratio(located, chosen[~split], chosen[split])
+        one, other = _misfits(located, chosen, chosen, np.where(split, ratio, 1.0), (1.0, ratio))
+        split = other < one
+    single, both, gains = np.ones(len(chosen)), np.where(split, ratio, 1.0), 0.0
+    for fold in range(FOLDS):
+        held_out = np.arange(len(chosen)) % FOLDS == fold
+        errors = [
+            _misfits(located, chosen[~held_out], chosen[held_out], of[~held_out], (of[held_out],))[0]
+            for of in (single, both)
+        ]
+        gains += float(np.sum(np.log(errors[0] / errors[1])))
+    if not gains > np.log(len(chosen)):
+        return ()
+    # The larger part is taken as stated.
+    if 2 * np.count_nonzero(split) > len(chosen):
+        split, ratio = ~split, 1 / ratio
+    members = [located.presses.presses[i] for i in chosen[split]]
+    stated = float(np.median([press.ball_diameter_mm for press in members]))
+    by = f"the other {len(chosen) - len(members)} presses"
+    names = tuple(press.name for press in members)
+    found = BallReading(stated, stated * ratio, SIZE_SIGMA * stated * ratio, by, presses=names)
+    return (found,) if found.sigmas > MOST_SIGMAS else ()
+
+
+def _misfits(
+    located: Located,
+    training: Sequence[int],
+    members: Sequence[int],
+    balls: Numbers,
+    tried: Sequence[float | Numbers],
+) -> list[Numbers]:
+    """Relative slope errors (RMS) of each member, one array for each tried ball, by a model of the training presses' balls.
+
+    Balls are factors of the stated ones, of all or of each press.
+    """
+
+    def scaled(i: int, factor: float) -> PreparedPress:
+        press = located.prepared[i]
+        return replace(press, ball_radius_px=factor * press.ball_radius_px, contact_radius_ratio=INNER)
+
+    contacts = located.refined.contacts
+    model = fit_model([scaled(*one) for one in zip(training, balls)], [contacts[i] for i in training])
+    errors = np.full((len(tried), len(members)), np.nan)
+    for k, factors in enumerate(tried):
+        for n, factor in enumerate(np.broadcast_to(factors, len(members))):
+            press, contact = scaled(members[n], factor), contacts[members[n]]
+            rows, cols = press.pixels(contact, 1.0, PRESS_PIXELS)
+            if len(rows) >= LEAST_PIXELS:
+                score = score_slopes(
+                    press.gradients(model, rows, cols),
+                    cols,
+                    rows,
+                    contact.circle_px[:2],
+                    press.ball_radius_px,
+                )
+                errors[k, n] = np.linalg.norm(score.errors) / np.linalg.norm(score.true_gradients)
+    return list(errors)
+
+
+def _size_ratio(located: Located, first: Sequence[int], second: Sequence[int]) -> float:
+    """Factor of the second presses' ball over its stated one, relative to the first ones': each is read by the other."""
+    logs = []
+    for training, members in ((first, second), (second, first)):
+        presses = [located.prepared[i] for i in training]
+        contacts = [located.refined.contacts[i] for i in training]
+        model = COLOR_MODELS[DEFAULT_MODEL].fit(training_samples(presses, contacts, total=TRIAL_SAMPLES))
+        logs.append(float(np.median(_log_ratios(located, members, model))))
+    return float(np.exp((logs[0] - logs[1]) / 2))
+
+
 def _by_sizes(located: Located) -> tuple[BallReading, ...]:
     """The second size, and further ones, read by the first one's presses, and vice versa: the mean of both."""
     sizes = _by_size(located, located.refined.accepted).items()
@@ -174,14 +279,7 @@ def _by_sizes(located: Located) -> tuple[BallReading, ...]:
     readings = []
     for stated, other in enough[1:]:
         first, own = enough[0]
-        logs = []
-        for training, members in ((own, other), (other, own)):
-            presses = [located.prepared[i] for i in training]
-            contacts = [located.refined.contacts[i] for i in training]
-            samples = training_samples(presses, contacts, total=TRIAL_SAMPLES)
-            model = COLOR_MODELS[DEFAULT_MODEL].fit(samples)
-            logs.append(float(np.median(_log_ratios(located, members, model))))
-        read = stated * float(np.exp((logs[0] - logs[1]) / 2))
+        read = stated * _size_ratio(located, own, other)
         readings.append(BallReading(stated, read, SIZE_SIGMA * read, f"the presses of {first:g} mm"))
     return tuple(readings)
 

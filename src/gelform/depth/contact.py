@@ -149,9 +149,10 @@ def off_rest(
     if off_mm <= REST_SIGMA_MM:
         return ()
     what = "no contact is sure, yet the gel seems pressed in" if off_mm == hill else "the gel seems to rise"
+    peak = _peak(depth if off_mm == hill else -depth, sigma, known)
     message = (
-        f"Depth is off: {what} by {_peak(depth if off_mm == hill else -depth, sigma, known)}. It is noise where light is weak, "
-        "a border that is read wrong, or a touch too faint to tell."
+        f"Depth is off: {what} by {peak}. It is noise where light is weak, a border that is read wrong, or a touch too faint "
+        "to tell."
     )
     return (Finding("off_rest", message, off_mm),)
 

@@ -371,6 +371,21 @@ def test_a_refuted_diameter_makes_all_poor_and_an_unchecked_one_is_said():
     assert verdict(scale_off_percent=25.0)["checks"].endswith("; fair: mm_per_px against the make's (25 %)")
 
 
+def test_next_names_two_balls_before_what_more_presses_mend():
+    mixed = BallReading(6.0, 9.0, 0.45, "the others", presses=tuple("abcdefg"))
+    assert mixed.checks
+    assert "7 of them (a, b, c, d, e ...) look like a ball 1.5 times as large" in mixed.remedy
+    checks = checks_of(
+        {**GOOD, "ball_sigmas": mixed.sigmas, "covered_percent": 10.0}, None, {"ball": mixed.remedy}
+    )
+    assert verdict_of(checks)["next"] == mixed.remedy
+    effects = {"covered_percent": 10.0, "gain_percent": 50.0}
+    assert "two balls under one diameter" in verdict(radius_percent=20.0, **effects)["next"]
+    assert verdict(radius_percent=20.0, presses_used=5.0)["next"].startswith("Press again"), (
+        "few presses are a cause"
+    )
+
+
 def test_every_press_has_a_row_and_only_accepted_ones_have_errors(presses, calibration):
     rows = calibration.report.presses
     assert [row.name for row in rows] == [press.name for press in presses.presses]

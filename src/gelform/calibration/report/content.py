@@ -207,16 +207,20 @@ class Limit:
     action: str  # the advice if it is not good
 
 
-# Causes come before their effects. {press} says how often and how deep to press, {steep} how deep for a slope.
+# Causes come before their effects. {press} says how often and how deep to press, {steep} how deep for a slope, {ball}
+# which ball or pitch to check.
 LIMITS = (
     Limit("rejected_percent", "presses rejected", "%", 10, 20, False,
           "Look at the rejected presses. Each reason says what to press or to write down differently."),
     Limit("ball_sigmas", "stated ball diameter against the measured one", "σ", MOST_SIGMAS, MOST_SIGMAS, False,
-          REMEDY + " Presses of another unit or of another ball contradict them."),
+          "{ball}"),
     Limit("scale_off_percent", "mm_per_px against the make's", "%", 10, math.inf, False,
           "Check mm_per_px. Images of this make have another value, unless you crop them differently."),
     Limit("presses_used", "presses used", "", NEEDED.advised.presses, NEEDED.fair.presses, True,
           "{press}, first at the places marked 1, 2, 3."),
+    Limit("radius_percent", "error of the ball's radius, held out", "%", 3, 6, False,
+          "Check the diameter and the mm per pixel that you gave, and that each press is of that ball: two balls under one "
+          "diameter read like this. Add presses of a second ball of another size."),
     Limit("covered_percent", "gel that presses cover, in all slope directions", "%", 80, 60, True,
           "{press}, first at the places marked 1, 2, 3. The presses do not show all slope directions there yet."),
     Limit("off_contact_um", "depth error off contact, held out", "µm", 30, 80, False,
@@ -225,9 +229,6 @@ LIMITS = (
           "{steep}. Too few presses show the slopes whose gain is wrong."),
     Limit("normal_free_deg", "angle error of the normals, held out", "°", 3, 5, False,
           "Check that exposure and light did not change. Look for cast shadows. {press} at the places marked 1, 2, 3."),
-    Limit("radius_percent", "error of the ball's radius, held out", "%", 3, 6, False,
-          "Check the diameter and the mm per pixel that you gave, and that each press is of that ball: two balls under one "
-          "diameter read like this. Add presses of a second ball of another size."),
     Limit("cap_free_um", "depth error in the contact, held out", "µm", 20, 40, False,
           "Look for a pattern in the depth pictures: dust, a shadow, a scratch. {press} at the places marked 1, 2, 3."),
     Limit("narrow_percent", "uncertainty too small, share within it below 68 %", "points",
@@ -269,9 +270,9 @@ def checks_of(
     """Every check with its figure (None if unknown), its level and its limits, causes before their effects.
 
     A check that the sensor does not need, and that has no figure, is left out. Some figures have a standard error. `advice`
-    has the words for {press} and {steep} in the actions.
+    has the words for {press}, {steep} and {ball} in the actions.
     """
-    words = {"press": "Press again", "steep": "Press a little deeper", **(advice or {})}
+    words = {"press": "Press again", "steep": "Press a little deeper", "ball": REMEDY, **(advice or {})}
     return [
         {
             **asdict(limit),
@@ -516,7 +517,7 @@ def _judged_gains(content: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _advice(content: Mapping[str, Any], coverage: Coverage) -> dict[str, str]:
-    """How often and how deep to press: as often as covers the gel, or the number advised lacks; as deep as most presses."""
+    """Words for the actions: press as often as covers the gel, or the number advised lacks, as deep as most presses."""
     used = [row for row in content["presses"] if row["accepted"]]
     missing = presses_to_cover(coverage, COVERED.good / 100)
     more = max(NEEDED.advised.presses - len(used), missing, len(content["coverage"]["next"]))
@@ -529,7 +530,10 @@ def _advice(content: Mapping[str, Any], coverage: Coverage) -> dict[str, str]:
     # The contact's edge has the steepest slope.
     deep = float(np.median(balls)) * (1 - 1 / math.hypot(1, worst["slope_to"])) if worst else 0.0
     deeper = f"Press at least {deep:.2g} mm deep, or add a smaller ball"
-    return {"press": press, "steep": deeper if deep > depth else f"{press}, at the places marked 1, 2, 3"}
+    steep = deeper if deep > depth else f"{press}, at the places marked 1, 2, 3"
+    doubted = [one for one in content["balls"] if one["checks"]]
+    wrong = [one["remedy"] for one in sorted(doubted, key=lambda one: -one["sigmas"])]
+    return {"press": press, "steep": steep, **({"ball": wrong[0]} if wrong else {})}
 
 
 def _checked_figures(content: dict[str, Any]) -> dict[str, float | None]:

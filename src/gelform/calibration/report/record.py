@@ -15,7 +15,7 @@ from gelform.calibration.circles.find import prepare
 from gelform.calibration.circles.locate import Located, Refined
 from gelform.calibration.coverage import NEEDED
 from gelform.calibration.held_out import Judged
-from gelform.calibration.inputs import BallReading
+from gelform.calibration.inputs import UNCHECKED, BallReading
 from gelform.calibration.presses.press_set import Presses
 from gelform.calibration.selection import (
     Candidate,
@@ -108,7 +108,7 @@ def report_of_run(
             *_of_repeated(located),
             *_of_starter(fitted.selection, offered),
             *presses.geometry.notes(presses.response, presses.mm_per_px_sigma),
-            *located.notes,
+            *(note for note in located.notes if note != UNCHECKED or not balls),
             *fitted.notes,
             *notes,
         ),
