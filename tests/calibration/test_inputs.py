@@ -22,6 +22,7 @@ from gelform.calibration.inputs import (
     background_findings,
     ball_readings,
     check_inputs,
+    first_notes,
     imprint_aspect,
     imprint_notes,
     input_notes,
@@ -580,3 +581,10 @@ def test_presses_of_two_balls_under_one_diameter_are_named(data):
     assert mixed.sentence().startswith("Two balls seem to be under one diameter")
     assert found(small[::4]) == found(large[::2]) == ()
     assert found([*small[::6], *large[::3]], [4.0]) == (), "spheres are right"
+
+
+def test_a_press_that_is_the_background_is_named_as_the_cause(presses):
+    """A folder whose background was a press read "it is no ball" of all others."""
+    assert first_notes(presses, ())[-1] == UNCHECKED
+    touched = replace(presses, background=presses.presses[2].image.astype(np.float32))
+    assert first_notes(touched, ())[0].startswith(f"{presses.presses[2].name} is the background image itself")

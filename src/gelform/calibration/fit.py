@@ -102,7 +102,6 @@ def calibrate(
     said = (
         *(one.message for one in doubts),
         *first_notes(read, balls),
-        *light_press_notes(located, balls),
         *untried,
     )
     located = replace(located, notes=(*said, *located.notes))
@@ -111,7 +110,11 @@ def calibrate(
     fitted = fit(located, folds, color_model, compare=compare, progress=progress)
     judged = measure_held_out(fitted, progress=progress)
     mixed = mixed_balls(located, [errors.radius_percent for errors in judged.errors.values()])
-    notes = *(one.sentence() for one in mixed), *input_notes(located)
+    notes = (
+        *(one.sentence() for one in mixed),
+        *light_press_notes(located, (*balls, *mixed)),
+        *input_notes(located),
+    )
     made = replace(fitted.calibration, slope_sigma=judged.slope_sigma, forward=judged.forward)
     own = [presses.presses[i] for i in located.refined.accepted]
     circles = [located.refined.contacts[i] for i in located.refined.accepted]

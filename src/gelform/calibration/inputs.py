@@ -193,7 +193,7 @@ def mixed_balls(located: Located, radius_errors: Sequence[float]) -> tuple[BallR
     more than the two parameters cost (G. Schwarz, Ann. Statist. 6, 1978). It is not asked while held-out spheres are right,
     by their `radius_errors` (%).
     """
-    chosen, refined = np.array(located.refined.accepted), located.refined
+    refined, chosen = located.refined, np.array(located.refined.accepted)
     wide = np.array([refined.contacts[i].radius_px / located.prepared[i].ball_radius_px for i in chosen])
     split, ratio, tried = wide > np.median(wide), 1.0, set[bytes]()
     if np.nanmedian(np.abs(radius_errors)) <= 100 * SIZE_SIGMA:
@@ -228,8 +228,8 @@ def mixed_balls(located: Located, radius_errors: Sequence[float]) -> tuple[BallR
 
 def _misfits(
     located: Located,
-    training: Sequence[int],
-    members: Sequence[int],
+    training: Sequence[int] | Array,
+    members: Sequence[int] | Array,
     balls: Numbers,
     tried: Sequence[float | Numbers],
 ) -> list[Numbers]:
@@ -412,8 +412,10 @@ def _some(count: int) -> NDArray[np.intp]:
 
 
 def first_notes(presses: Presses, readings: Sequence[BallReading]) -> tuple[str, ...]:
-    """Notes that the error for too few presses has too: on the images' surround and light, and on the ball's diameter."""
-    return *surround_notes(presses), *light_notes(presses.background), *notes_of(readings)
+    """Notes that the error for too few presses has too: on the background, the images' surround and light, and the ball."""
+    same = [one.name for one in presses.presses if np.array_equal(one.image, presses.background)]
+    of_rest = [f"{name} is the background image itself. That has to show the gel at rest." for name in same]
+    return *of_rest[:1], *surround_notes(presses), *light_notes(presses.background), *notes_of(readings)
 
 
 def check_places(located: Located) -> None:

@@ -151,8 +151,8 @@ def off_rest(
     what = "no contact is sure, yet the gel seems pressed in" if off_mm == hill else "the gel seems to rise"
     peak = _peak(depth if off_mm == hill else -depth, sigma, known)
     message = (
-        f"Depth is off: {what} by {peak}. It is noise where light is weak, a border that is read wrong, or a touch too faint "
-        "to tell."
+        f"Depth is off: {what} by {peak}. It is noise where light is weak, a border that is read wrong, or a touch too "
+        "faint to tell."
     )
     return (Finding("off_rest", message, off_mm),)
 

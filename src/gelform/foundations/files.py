@@ -113,7 +113,10 @@ def present_file(
             )
         size = path.stat().st_size
     except FileNotFoundError:
-        raise error(f"No file {path}: expected {what}. Check the path.") from None
+        stem = path.stem.casefold()
+        alike = sorted(one.name for one in path.parent.glob("*") if one.stem.casefold() == stem)
+        meant = f"Did you mean {alike[0]}?" if alike else "Check the path."
+        raise error(f"No file {path}: expected {what}. {meant}") from None
     except OSError as problem:
         raise error(f"Cannot read {path}: {problem.strerror or problem}.") from problem
     if size > max_bytes:

@@ -55,7 +55,8 @@ def read_toml(path: Path, what: str, error: type[GelformError] = DataError) -> d
             f"{path} is no text in UTF-8: byte {problem.start} is none. Save it as UTF-8."
         ) from problem
     except ValueError as problem:  # of a number with thousands of digits too
-        raise error(f"{path} is no TOML file: {said(problem)}.") from problem
+        how = 'Text stands in quotes and numbers have a decimal point: name = "my sensor", mm_per_px = 0.06.'
+        raise error(f"{path} is no TOML file: {said(problem)}. {how}") from problem
     except RecursionError:
         raise error(f"{path} holds tables inside tables beyond reason: expected {what}.") from None
 

@@ -5,6 +5,7 @@ They are held to simulated truth and to real labels.
 
 import os
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -470,6 +471,15 @@ def test_calibration_and_evaluation_of_a_marked_gel(dotted):
     assert np.median(np.linalg.norm(circles[:, :2] - true, axis=1)) < 1.5
 
 
+def test_kept_circles_rest_on_all_code_that_finds_them(monkeypatch):
+    code = module._digest_of_code()
+    assert code == module._digest_of_code()
+    monkeypatch.setattr(
+        Path, "read_bytes", lambda path, read=Path.read_bytes: read(path) + b"#" * (path.name == "filters.py")
+    )
+    assert code != module._digest_of_code()
+
+
 def test_a_next_try_takes_the_circles_that_an_interrupted_one_found(presses, monkeypatch, tmp_path):
     """The same to the bit; of another image, or of a damaged file, they are found anew."""
     few, find, count = presses.subset(range(4)), module.find_contact, [0]
@@ -494,8 +504,12 @@ def test_a_next_try_takes_the_circles_that_an_interrupted_one_found(presses, mon
         brighter = replace(few.presses[0], image=np.minimum(few.presses[0].image, 250) + 1)
         prepare(replace(few, presses=(brighter, *few.presses[1:])))
         assert count[0] == 7
+    monkeypatch.setattr(module, "_digest_of_code", lambda: b"other code")
+    with module.circles_kept(tmp_path):
+        prepare(few)
+        assert count[0] == 11, "other code may find another circle"
         os.utime(kept[0], (0, 0))
     with module.circles_kept(tmp_path):
         assert not kept[0].exists(), "old"
     prepare(few)
-    assert count[0] == 11, "nothing is kept unasked"
+    assert count[0] == 15, "nothing is kept unasked"

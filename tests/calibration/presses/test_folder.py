@@ -3,6 +3,7 @@
 import csv
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -443,3 +444,23 @@ def test_folders_that_are_named_by_diameters_get_their_lines(copy, presses, tmp_
         gelform.read_presses(target, mm_per_px=0.1, ball_diameter_mm=5)
     assert rows_by_folder(target) == lines
     assert rows_by_folder(copy) == []
+
+
+def test_an_option_that_contradicts_a_table_s_ball_is_refused(copy):
+    """It was left out without a word, so a corrected diameter changed nothing."""
+    table = copy / "presses.csv"
+    name = gelform.read_presses(copy).presses[0].name
+    table.write_text(f"image,ball_diameter_mm\n{name},5\n", encoding="utf-8")
+    assert gelform.read_presses(copy, ball_diameter_mm=5).presses[0].ball_diameter_mm == 5
+    with pytest.raises(DataError, match=r"is 10, but .*presses\.csv, line 2, states 5"):
+        gelform.read_presses(copy, ball_diameter_mm=10)
+
+
+def test_a_file_of_another_case_or_suffix_is_named(copy):
+    table = copy / "presses.csv"
+    first = table.read_text(encoding="utf-8").splitlines()[1].split(",")[0]
+    file = Path(first)
+    for wrong in (file.with_name(file.name.upper()), file.with_suffix(""), file.with_suffix(".jpg")):
+        table.write_text(f"image,ball_diameter_mm\n{wrong.as_posix()},4\n", encoding="utf-8")
+        with pytest.raises(DataError, match=f"Did you mean {file.name}"):
+            gelform.read_presses(copy)

@@ -33,6 +33,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import scipy
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import expit
@@ -297,7 +298,8 @@ def with_contacts(prepared: list[PreparedPress]) -> list[PreparedPress]:
     return [replace(press, found=contact) for press, contact in zip(prepared, found)]
 
 
-_kept_in: ContextVar[Path | None] = ContextVar("kept circles", default=None)
+# The folder, and the digest of what finds circles.
+_kept_in: ContextVar[tuple[Path, bytes] | None] = ContextVar("kept circles", default=None)
 KEPT_S = 30 * 86400  # after which a circle is not looked for again
 
 
@@ -305,27 +307,38 @@ KEPT_S = 30 * 86400  # after which a circle is not looked for again
 def circles_kept(folder: Path | None) -> Iterator[None]:
     """Within it, each circle that an image shows by itself is kept in a folder, and read there if it was found before.
 
-    So work that was interrupted goes on behind them. A file is named by the color change and by this code; None: nothing is
-    kept. The library does this for no one who does not ask; `gelform calibrate` asks.
+    So work that was interrupted goes on behind them. A file is named by the color change and by the code that finds circles;
+    None: nothing is kept. The library does this for no one who does not ask; `gelform calibrate` asks.
     """
+    token = _kept_in.set(None if folder is None else (folder, _digest_of_code()))
     if folder is not None:
         for old in folder.glob("*.json"):
             with suppress(OSError):  # another process is as tidy
                 if time.time() - old.stat().st_mtime > KEPT_S:
                     old.unlink()
-    token = _kept_in.set(folder)
     try:
         yield
     finally:
         _kept_in.reset(token)
 
 
+def _digest_of_code() -> bytes:
+    """Of all files of gelform and the versions of the libraries it computes with: a circle rests on nothing else."""
+    code = sha256(f"{np.__version__} {scipy.__version__} {cv2.__version__}".encode())
+    root = Path(__file__).parents[2]
+    for path in sorted((*root.rglob("*.py"), *root.glob("_native/*"))):
+        if path.is_file():
+            code.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return code.digest()
+
+
 def _kept_contact(change: Map) -> ContactCircle:
     """`find_contact`, or what it found before, which is the same to the bit."""
-    folder = _kept_in.get()
-    if folder is None:
+    kept = _kept_in.get()
+    if kept is None:
         return find_contact(change)
-    content = sha256(f"{Path(__file__).stat().st_mtime_ns} {change.shape}".encode())
+    folder, code = kept
+    content = sha256(code + str(change.shape).encode())
     content.update(np.ascontiguousarray(change).data)
     path = folder / f"{content.hexdigest()}.json"
     # There is none, or what is there is none.

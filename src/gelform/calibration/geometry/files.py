@@ -57,6 +57,13 @@ def edited_toml(text: str, changes: Mapping[Table, Mapping[str, Any]], drop: Seq
     return edited
 
 
+def stated_scale(place: str | PathLike[str]) -> float | None:
+    """The one mm per pixel that `save_scale` would replace in a `sensor.toml`, if there is one."""
+    file = None if Path(place).suffix == ".npz" else _toml_in(Path(place))
+    stated = read_sensor_toml(file).mm_per_px if file is not None and file.is_file() else None
+    return stated if isinstance(stated, float) else None
+
+
 def save_scale(scale: Scale, place: str | PathLike[str]) -> Path:
     """Write a scale into a `sensor.toml` or an imported calibration, in one step; return the written file.
 

@@ -177,7 +177,7 @@ def read_presses(
         (`.npy`), a video, a recording (`*.mcap`) or a data set (HDF5, Zarr, LeRobot) with `ball_diameter_mm`
     sensor : name of a profile, which has the view and mm_per_px
     mm_per_px : pixel pitch, mm, or (x, y) of pixels that are not square; overrides sensor.toml and the profile
-    ball_diameter_mm : for data without it
+    ball_diameter_mm : for data without it; a table that states another is refused
     background : the background image, or a folder of several; the press folder's `background.png` or `background/`
         by default
     crop : (left, top, width, height) in pixels of the frame
@@ -396,7 +396,7 @@ def press_folder_source(folder: Path, options: ReadOptions) -> PressSource:
             if all(row.get(column) for column in LABEL_COLUMNS):
                 x, y, radius = (number(row[column], column, where) for column in LABEL_COLUMNS)
                 label = (x, y, radius)
-            listed.append(Press(name, UNREAD, diameter(row["ball_diameter_mm"], where), label))
+            listed.append(Press(name, UNREAD, diameter(row["ball_diameter_mm"], where, options), label))
         elif indenter == "flat" and row.get("height_mm"):
             height_mm = number(row["height_mm"], "height_mm", where)
             if not 0.01 <= height_mm <= 20:
@@ -414,12 +414,18 @@ def press_folder_source(folder: Path, options: ReadOptions) -> PressSource:
     return PressSource(listed, notes=notes)
 
 
-def diameter(text: str, where: str) -> float:
-    """A ball's diameter in mm, from a table."""
+def diameter(text: str, where: str, options: ReadOptions) -> float:
+    """A ball's diameter in mm, from a table; an option that contradicts it is refused."""
     try:
-        return check_ball_diameter(number(text, "ball diameter", where))
+        ball_mm = check_ball_diameter(number(text, "ball diameter", where))
     except ValueError as problem:
         raise DataError(f"{problem} ({where})") from None
+    if options.ball_diameter_mm not in (None, ball_mm):
+        raise DataError(
+            f"ball_diameter_mm= (--ball-diameter-mm) is {options.ball_diameter_mm:g}, but {where}, states {ball_mm:g}. "
+            "Leave the option out, or correct the table."
+        )
+    return ball_mm
 
 
 def gs_sdk_source(folder: Path, options: ReadOptions) -> PressSource:
@@ -436,7 +442,7 @@ def gs_sdk_source(folder: Path, options: ReadOptions) -> PressSource:
                     f"Expected center (x, y) and radius as numbers in {path}. Label the press again."
                 )
             label = (circle[0], circle[1], circle[2])
-        ball_mm = diameter(row["diameter(mm)"], where)
+        ball_mm = diameter(row["diameter(mm)"], where, options)
         listed.append(Press(f"{name}/gelsight.png", UNREAD, ball_mm, label))
     return PressSource(listed)
 

@@ -246,7 +246,7 @@ def scale(
         if len(paths) != 2:
             raise BadParameter(f"expected A,B,MM, got {text!r}.", param_hint="--stage")
         pressed.append((map(Path, paths), numbers(length, "MM", "--stage")[0]))
-    from gelform.calibration.geometry.files import read_setup, save_scale, width_note
+    from gelform.calibration.geometry.files import read_setup, save_scale, stated_scale, width_note
 
     with mistakes_in("--points"):
         scales = [gelform.scale_from_points((x1, y1), (x2, y2), mm) for x1, y1, x2, y2, mm in marked]
@@ -257,11 +257,12 @@ def scale(
                 first, second = map(setup.image, images)
                 scales.append(gelform.scale_from_stage(first, second, setup.background, step_mm))
     found = gelform.combined_scale(scales)
+    before = stated_scale(place)
     written = save_scale(found, place)
     if doubt := width_note(found.mm_per_px, place):
         shown.say(f"note: {doubt}")
     shown.say(f"{found.mm_per_px:.5g} +- {found.sigma:.2g} mm per pixel, from {found.source}.")
-    shown.say(f"Wrote {written}.")
+    shown.say(f"Wrote {written}{'' if before is None else f', in the place of {before:.5g}'}.")
     measured = {"mm_per_px": found.mm_per_px, "mm_per_px_sigma": found.sigma}
     shown.json({"file": written, **measured, "source": found.source})
 
