@@ -301,7 +301,7 @@ def test_no_folder_no_background_no_whole_image_and_no_such_sensor(copy, presses
     for place, message in (
         (copy, "truncated"),
         (tmp_path / "nothing", "not there"),
-        (copy / "presses.csv", "which is a file of another kind"),
+        (copy / "presses.csv", "which is one table: give the folder of all"),
         (copy / "background.png", "which is one picture: give the folder of all"),
         (bare, "No background"),
     ):

@@ -229,7 +229,10 @@ def test_a_measured_scale_reaches_the_calibration(run, run_json, folder, images,
 
 
 def test_marked_points_are_averaged_or_compared(works, fails, folder):
-    assert "0.12 +- " in works("scale", folder, "--points", "20,10,100,70,12")[1]
+    before = read_sensor_toml(folder / "sensor.toml").mm_per_px
+    err = works("scale", folder, "--points", "20,10,100,70,12")[1]
+    assert "0.12 +- " in err
+    assert f"sensor.toml, in the place of {before:.5g}." in err, "a ruler that was read wrong stands out"
     assert read_sensor_toml(folder / "sensor.toml").mm_per_px == pytest.approx(0.12)
     err = works("scale", folder, "--points", "20,10,100,10,9.6", "--points", "20,10,20,90,9.7")[1]
     assert read_sensor_toml(folder / "sensor.toml").mm_per_px == pytest.approx(0.1206, abs=1e-4)

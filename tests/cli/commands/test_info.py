@@ -256,3 +256,11 @@ def test_a_folder_as_people_have_it_gets_its_lines(run, run_json, press_folder, 
     assert [line.split()[-1] for line in out.splitlines() if line.startswith("presses.csv")] == said[
         "presses.csv"
     ]
+
+
+def test_the_output_of_a_batch_is_no_press_folder(run_json, works, calibration_file, press_folder, tmp_path):
+    """It was told to need presses.csv."""
+    works("batch", press_folder / "images", "-c", calibration_file, "-o", tmp_path / "out")
+    said = run_json("info", tmp_path / "out")
+    assert said == {"kind": "output of gelform batch", "check": f"gelform verify {tmp_path / 'out'}"} | said
+    assert "missing" not in said

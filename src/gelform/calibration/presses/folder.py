@@ -201,7 +201,12 @@ def read_presses(
         return _presses_of_film(open_film(place, bgr=bgr, dataset=dataset), place, options, at_rest, progress)
     if kind is None:
         is_picture = place.suffix.lower() in IMAGE_SUFFIXES
-        is_file = "one picture: give the folder of all" if is_picture else "a file of another kind"
+        is_part = is_picture or place.suffix.lower() in (".csv", ".toml")
+        is_file = (
+            f"one {'picture' if is_picture else 'table'}: give the folder of all"
+            if is_part
+            else "a file of another kind"
+        )
         is_what = is_file if place.exists() else "not there"
         raise DataError(
             f"Expected a folder of presses, a video, a recording (*.mcap), a data set or a Taxim dataPack.npz, got {place}, "

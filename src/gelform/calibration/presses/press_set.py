@@ -237,7 +237,10 @@ def table_rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[str, dict
     the comma is the decimal sign.
     """
     try:
-        file = io.StringIO(bytes_of(path, "a table", MAX_ARRAY_BYTES).decode("utf-8-sig"), newline="")
+        text = bytes_of(path, f"a table with the columns {', '.join(columns)}", MAX_ARRAY_BYTES).decode(
+            "utf-8-sig"
+        )
+        file = io.StringIO(text, newline="")
         header = file.readline()
         file.seek(0)
         semicolons = header.count(";") > header.count(",")

@@ -319,6 +319,7 @@ def _film(film: Film, kind: str, size_px: Sequence[float | str]) -> dict[str, An
 
 def _folder(path: Path) -> dict[str, Any]:
     """The facts of a bag or presses; for any other folder, the files that would make it a press folder."""
+    from gelform.batch.records import MANIFEST
     from gelform.calibration.presses.folder import PLAIN, PRESS_FOLDER, kind_of_presses, rows_by_folder
     from gelform.foundations.files import kind_of_npz
     from gelform.sensors.files import likely_background
@@ -331,6 +332,8 @@ def _folder(path: Path) -> dict[str, Any]:
     if layout not in (PRESS_FOLDER, PLAIN):
         return _presses(path, layout)
     here = {Path(entry.name) for entry in path.iterdir()}
+    if {Path(MANIFEST), Path("parts")} <= here:
+        return {"kind": "output of gelform batch", "check": f"gelform verify {path}"}
     results = sum(kind_of_npz(path / name) == result.KIND for name in here if name.suffix == ".npz")
     if results and not any(name.stem == "background" or name.name == "presses.csv" for name in here):
         return {"kind": "folder of results", "results": results, "of each": f"gelform info {path}/NAME.npz"}
