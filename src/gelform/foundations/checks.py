@@ -249,6 +249,13 @@ def check_list(values: Any, name: str, kind: type[Any] | None = None) -> list[An
     return [one if kind is None else check_is(one, kind, f"each of {name}") for one in values]
 
 
+def remedy_for(missing: Path) -> str:
+    """The advice for a file that is missing: the one beside it that differs in case or suffix alone, if there is one."""
+    stem = missing.stem.casefold()
+    alike = sorted(one.name for one in missing.parent.glob("*") if one.stem.casefold() == stem)
+    return f"Did you mean {alike[0]}?" if alike else "Check the path."
+
+
 def check_path(path: Any, what: str = "a path") -> Path:
     """Return a path that a file system can have; DataError: it is empty or too long, or has a zero byte."""
     if not isinstance(path, (str, PathLike)):

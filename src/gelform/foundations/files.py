@@ -28,7 +28,7 @@ import numpy as np
 
 from gelform.arrays import Array
 from gelform.errors import DataError, GelformError, cannot, said
-from gelform.foundations.checks import check_path
+from gelform.foundations.checks import check_path, remedy_for
 
 try:
     import fcntl
@@ -113,10 +113,7 @@ def present_file(
             )
         size = path.stat().st_size
     except FileNotFoundError:
-        stem = path.stem.casefold()
-        alike = sorted(one.name for one in path.parent.glob("*") if one.stem.casefold() == stem)
-        meant = f"Did you mean {alike[0]}?" if alike else "Check the path."
-        raise error(f"No file {path}: expected {what}. {meant}") from None
+        raise error(f"No file {path}: expected {what}. {remedy_for(path)}") from None
     except OSError as problem:
         raise error(f"Cannot read {path}: {problem.strerror or problem}.") from problem
     if size > max_bytes:
