@@ -93,19 +93,16 @@ class Newest(Generic[Value]):
     def await_reader(self, lead_s: float, most_s: float) -> None:
         """Wait until a reader asks, or will ask in `lead_s` by the time that readers usually stay away.
 
-        For a late reader a value is enough for as long again; one who finds it older than `lead_s` waits for a newer one. It
-        waits until the newest value is `most_s` old at most, and never before a reader took a value.
+        A value that nobody has taken is enough for as long again, but a reader who then finds it older than `lead_s` waits
+        for a newer one. It waits until the newest value is `most_s` old at most, and never before a reader took a value.
         """
         with self.changed:
             if not self._away_s or self._time_s is None:
                 return
-            now_s, away_s = time.monotonic(), median(self._away_s)
-            until_s = self._taken_s + away_s - lead_s
-            if until_s <= now_s and self._asked < self.number:
-                until_s += away_s
+            away_s = median(self._away_s) * (1 if self._asked == self.number else 2)
+            until_s = min(self._taken_s + away_s - lead_s, self._time_s + most_s)
             self._fresh_s = lead_s
-            wait_s = min(until_s, self._time_s + most_s) - now_s
-            self.changed.wait_for(lambda: self._waiting > 0 or self.ended, max(wait_s, 0))
+            self.changed.wait_for(lambda: self._waiting > 0 or self.ended, max(until_s - time.monotonic(), 0))
             self._fresh_s = inf
 
     def after(
@@ -124,7 +121,8 @@ class Newest(Generic[Value]):
                 "This sensor was opened before a fork, in the other process. Open it again in this one."
             )
         with self.changed:
-            away_s = time.monotonic() - self._taken_s
+            if (away_s := time.monotonic() - self._taken_s) >= 0:
+                self._away_s.append(away_s)
             least, fresh_s, held = max(number + 1, self._expected), self._fresh_s, self.number
             self._waiting += 1
             self.changed.notify_all()
@@ -135,9 +133,7 @@ class Newest(Generic[Value]):
             self._waiting -= 1
             if self.number > number:
                 found = next(one for one in self._held if one[0] > number) if oldest else self._held[-1]
-                if found[0] > self._asked:  # whoever takes it first
-                    self._asked, self._taken_s = found[0], time.monotonic()
-                    self._away_s.extend([away_s] if away_s >= 0 else ())
+                self._asked, self._taken_s = max(self._asked, found[0]), time.monotonic()
                 self.changed.notify_all()
                 return found
             if self.error is not None:
