@@ -146,8 +146,6 @@ class Station:
     `watched` says whether every frame is needed, as for a tap; else eight per second are reconstructed, for the memory.
     """
 
-    needs_every = True  # its recordings and sinks take each frame
-
     def __init__(
         self,
         number: int,

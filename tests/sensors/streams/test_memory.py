@@ -475,14 +475,6 @@ def test_a_recording_teaches_the_same_each_time(reconstruct, at_rest):
     assert np.abs(background - reconstruct.background).max() > 1  # it learned
 
 
-def test_every_frame_counts_for_a_mean_over_time_and_for_a_background(reconstruct):
-    memory = Memory(reconstruct)
-    assert not memory.needs_every
-    assert Memory(reconstruct, smoothing=0.5).needs_every
-    memory.take_background()
-    assert memory.needs_every
-
-
 @pytest.fixture
 def clock(monkeypatch):
     """The time of `Newest`, set by hand: what waits for a minute then waits until it is woken."""

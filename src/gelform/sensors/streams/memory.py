@@ -161,11 +161,6 @@ class Memory:
         """Whether the last request for a background is not decided yet; what was found in the one before it."""
         return self._drift.taking, self._drift.doubts
 
-    @property
-    def needs_every(self) -> bool:
-        """Whether each frame counts, read or not: for a mean over time, for dots that move, or for a background."""
-        return self._smoothing is not None or len(self.reconstruct.markers) > 0 or self._drift.taking
-
     def image_from_frame(self, frame: Frame) -> Array:
         """The calibration's view of a frame; ValueError if the frame has another size."""
         calibration = self.reconstruct.calibration

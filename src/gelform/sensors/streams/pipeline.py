@@ -16,7 +16,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from gelform.image.view import Frame
 from gelform.sensors.grabber import Grabber, Newest
 from gelform.sensors.source import Source, checked_frame, open_source, spec_of
-from gelform.sensors.streams.memory import LOOK_S, Timed, Work
+from gelform.sensors.streams.memory import Timed, Work
 
 SourceLike = str | PathLike[str] | int | Source | Callable[[], Source] | Grabber
 
@@ -158,10 +158,6 @@ class RunningSequence(Protocol[Value]):
 
     examine: Callable[[Work], None]  # makes slow work; the pipeline makes it elsewhere
 
-    @property
-    def needs_every(self) -> bool:
-        """Whether each frame counts, though nobody reads its result."""
-
     def reconstructed(self, frame: Frame, timed: Timed) -> Value:
         """The result of a frame; `timed(stage)` times a block."""
 
@@ -176,16 +172,19 @@ class Pipeline(Generic[Value]):
     that the results are the same each time. An exception in a stage ends the pipeline and is raised to the readers of
     `results`.
 
-    It closes the running feed with itself. `recent` holds the last `keep` results. Unless the sequence needs every frame,
-    readers who come later than a sensor's frames get a result of the newest one when they come: between two, none is made
-    for nobody, but for one each time that something is looked for.
+    It closes the running feed with itself. `recent` holds the last `keep` results. With `most_idle_s`, readers of a sensor
+    that come later than its frames get results of the newest frame when they come: none is made for nobody, but for one
+    after that time.
     """
 
-    def __init__(self, feed: Feed, sequence: RunningSequence[Value], *, keep: int = 0) -> None:
+    def __init__(
+        self, feed: Feed, sequence: RunningSequence[Value], *, keep: int = 0, most_idle_s: float = 0.0
+    ) -> None:
         self.feed = feed
         self.sequence = sequence
         self.results: Newest[Value] = Newest(every=feed.every, rated=RECENT)
         self.recent: deque[Value] = deque(maxlen=keep)
+        self._most_idle_s = 0.0 if feed.every else most_idle_s
         self._to_learn: Newest[Value] = Newest()
         self._checks: Newest[Work] = Newest()
         self._stop, self._lock = Event(), Lock()
@@ -270,8 +269,8 @@ class Pipeline(Generic[Value]):
     def _reconstruct(self) -> None:
         index = -1
         while not (self._stop.is_set() or self.results.ended):
-            if not (self.feed.every or self.sequence.needs_every):
-                self.results.await_reader(self._making_s, LOOK_S)
+            if self._most_idle_s:
+                self.results.await_reader(self._making_s, self._most_idle_s)
             frame = self.feed.next(index)
             if frame is not None:
                 index = frame.index

@@ -213,10 +213,6 @@ class UntouchedFirst:
     def reconstruct(self) -> Reconstructor:
         return self.memory.reconstruct
 
-    @property
-    def needs_every(self) -> bool:
-        return self._memory is None or self._memory.needs_every
-
     def reconstructed(self, frame: Frame, timed: Timed) -> StreamFrame:
         return self.memory.reconstructed(frame, timed)
 
@@ -304,10 +300,10 @@ def stream(
             starter = named or _starter_of(feed.camera, missing)
             if background is None:
                 first = UntouchedFirst(feed, starter, memory_of)
-                return Stream(Pipeline(first, first, keep=KEPT), first)
+                return Stream(Pipeline(first, first, keep=KEPT, most_idle_s=LOOK_S), first)
             reconstruct = Reconstructor(starter.for_frame(background, serial=feed.camera.serial))
         memory = memory_of(reconstruct)
-        return Stream(Pipeline(feed, memory, keep=KEPT), memory)
+        return Stream(Pipeline(feed, memory, keep=KEPT, most_idle_s=LOOK_S), memory)
     except BaseException:
         feed.close()
         raise
