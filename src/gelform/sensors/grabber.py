@@ -9,9 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from math import inf
 from os import PathLike
-from statistics import median
 from typing import Generic, TypeVar
 
 from gelform.errors import SensorError, SourceLostError
@@ -56,9 +54,6 @@ class Newest(Generic[Value]):
         self._process = os.getpid()
         self._held: deque[tuple[int, Value]] = deque(maxlen=keep)
         self._asked = self._expected = -1
-        self._waiting, self._taken_s = 0, inf  # readers, and when one last took a value
-        self._fresh_s = inf  # how old a value is given while the writer waits for readers
-        self._away_s: deque[float] = deque(maxlen=8)  # from taking a value to asking for the next one
 
     @property
     def rate_hz(self) -> float:
@@ -90,21 +85,6 @@ class Newest(Generic[Value]):
             self._held.append((number, value))
             self.changed.notify_all()
 
-    def await_reader(self, lead_s: float, most_s: float) -> None:
-        """Wait until a reader asks, or will ask in `lead_s` by the time that readers usually stay away.
-
-        A value that nobody has taken is enough for as long again, but a reader who then finds it older than `lead_s` waits
-        for a newer one. It waits until the newest value is `most_s` old at most, and never before a reader took a value.
-        """
-        with self.changed:
-            if not self._away_s or self._time_s is None:
-                return
-            away_s = median(self._away_s) * (1 if self._asked == self.number else 2)
-            until_s = min(self._taken_s + away_s - lead_s, self._time_s + most_s)
-            self._fresh_s = lead_s
-            self.changed.wait_for(lambda: self._waiting > 0 or self.ended, max(until_s - time.monotonic(), 0))
-            self._fresh_s = inf
-
     def after(
         self, number: int = -1, timeout_s: float | None = None, *, oldest: bool = False
     ) -> tuple[int, Value] | None:
@@ -121,19 +101,11 @@ class Newest(Generic[Value]):
                 "This sensor was opened before a fork, in the other process. Open it again in this one."
             )
         with self.changed:
-            if (away_s := time.monotonic() - self._taken_s) >= 0:
-                self._away_s.append(away_s)
-            least, fresh_s, held = max(number + 1, self._expected), self._fresh_s, self.number
-            self._waiting += 1
-            self.changed.notify_all()
-            if (self.age_s or 0.0) > fresh_s:  # the making of a newer one begins with this question
-                patience_s = min(2 * fresh_s, inf if timeout_s is None else timeout_s)
-                self.changed.wait_for(lambda: self.number > held or self.ended, patience_s)
+            least = max(number + 1, self._expected)
             self.changed.wait_for(lambda: self.number >= least or self.ended, timeout_s)
-            self._waiting -= 1
             if self.number > number:
                 found = next(one for one in self._held if one[0] > number) if oldest else self._held[-1]
-                self._asked, self._taken_s = max(self._asked, found[0]), time.monotonic()
+                self._asked = max(self._asked, found[0])
                 self.changed.notify_all()
                 return found
             if self.error is not None:

@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from queue import Queue
 from threading import Event, Thread, current_thread
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -473,46 +472,3 @@ def test_a_recording_teaches_the_same_each_time(reconstruct, at_rest):
     np.testing.assert_array_equal(depth, again)
     np.testing.assert_array_equal(background, background_again)
     assert np.abs(background - reconstruct.background).max() > 1  # it learned
-
-
-@pytest.fixture
-def clock(monkeypatch):
-    """The time of `Newest`, set by hand: what waits for a minute then waits until it is woken."""
-    now = [0.0]
-    monkeypatch.setattr("gelform.sensors.grabber.time", SimpleNamespace(monotonic=lambda: now[0]))
-    return now
-
-
-def test_a_writer_waits_for_readers_as_long_as_they_usually_stay_away(clock):
-    values = Newest()
-    values.put(0, "a")
-    values.await_reader(0, 600)  # at once: nobody has read yet
-    for k in range(4):
-        assert values.newest(k - 1, timeout_s=5) == "abcd"[k]
-        clock[0] += 60
-        values.put(k + 1, "abcde"[k + 1])
-    assert values.newest(3) == "e"
-    writer = started(lambda: values.await_reader(1, 600))
-    writer.join(0.1)
-    assert writer.is_alive()
-    assert values.newest(4, timeout_s=0.05) is None  # who asks wakes it
-    writer.join(5)
-    assert not writer.is_alive()
-    clock[0] += 59.5
-    values.await_reader(1, 600)  # at once: the next reader is near
-    clock[0] -= 59.5
-    values.await_reader(1, 0)  # at once: the newest is as old as allowed
-
-
-def test_a_late_reader_of_a_held_value_gets_a_newer_one_if_it_comes(clock):
-    values = Newest()
-    values.put(0, "a")
-    values.newest()
-    clock[0] += 60
-    assert values.newest(0, timeout_s=0) is None
-    values.put(1, "old")
-    writer = started(lambda: (values.await_reader(10, 600), values.put(2, "new")))
-    writer.join(0.1)
-    clock[0] += 20
-    assert values.newest(0, timeout_s=5) == "new"
-    writer.join(5)

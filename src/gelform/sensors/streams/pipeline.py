@@ -172,19 +172,14 @@ class Pipeline(Generic[Value]):
     that the results are the same each time. An exception in a stage ends the pipeline and is raised to the readers of
     `results`.
 
-    It closes the running feed with itself. `recent` holds the last `keep` results. With `most_idle_s`, readers of a sensor
-    that come later than its frames get results of the newest frame when they come: none is made for nobody, but for one
-    after that time.
+    It closes the running feed with itself. `recent` holds the last `keep` results.
     """
 
-    def __init__(
-        self, feed: Feed, sequence: RunningSequence[Value], *, keep: int = 0, most_idle_s: float = 0.0
-    ) -> None:
+    def __init__(self, feed: Feed, sequence: RunningSequence[Value], *, keep: int = 0) -> None:
         self.feed = feed
         self.sequence = sequence
         self.results: Newest[Value] = Newest(every=feed.every, rated=RECENT)
         self.recent: deque[Value] = deque(maxlen=keep)
-        self._most_idle_s = 0.0 if feed.every else most_idle_s
         self._to_learn: Newest[Value] = Newest()
         self._checks: Newest[Work] = Newest()
         self._stop, self._lock = Event(), Lock()
@@ -269,20 +264,12 @@ class Pipeline(Generic[Value]):
     def _reconstruct(self) -> None:
         index = -1
         while not (self._stop.is_set() or self.results.ended):
-            if self._most_idle_s:
-                self.results.await_reader(self._making_s, self._most_idle_s)
             frame = self.feed.next(index)
             if frame is not None:
                 index = frame.index
                 self._give(frame)
             elif self.feed.state == "ended":
                 return
-
-    @property
-    def _making_s(self) -> float:
-        """How long a result usually takes from its frame's pick-up on."""
-        with self._lock:
-            return sum(median(self._times_s.get(name, [0.0])) for name in ("view", "reconstruct", "remember"))
 
     def _give(self, frame: Frame) -> None:
         """Make a frame's result and give it to the readers."""

@@ -300,10 +300,10 @@ def stream(
             starter = named or _starter_of(feed.camera, missing)
             if background is None:
                 first = UntouchedFirst(feed, starter, memory_of)
-                return Stream(Pipeline(first, first, keep=KEPT, most_idle_s=LOOK_S), first)
+                return Stream(Pipeline(first, first, keep=KEPT), first)
             reconstruct = Reconstructor(starter.for_frame(background, serial=feed.camera.serial))
         memory = memory_of(reconstruct)
-        return Stream(Pipeline(feed, memory, keep=KEPT, most_idle_s=LOOK_S), memory)
+        return Stream(Pipeline(feed, memory, keep=KEPT), memory)
     except BaseException:
         feed.close()
         raise
