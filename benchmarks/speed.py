@@ -136,12 +136,12 @@ def noting(calls: dict[str, Callable[[], Any]], name: str, part: Callable[..., A
 
 
 def against(ref: str, quick: bool) -> None:
-    """Compare this checkout with a commit on the simulated frame and a real one, with quick on one of them."""
+    """Compare this checkout with a commit on frames: simulated, with dots, and of a Mini; quick: of a Mini alone."""
     with tempfile.TemporaryDirectory() as folder:
         presses = Path(folder) / "simulated"
         images = {presses: write_presses(presses, SIZES[0])}
-        if (DATA / "mini-ball").is_dir():
-            images[DATA / "mini-ball"] = shown_press(gelform.read_presses(DATA / "mini-ball"))
+        real = [DATA / name for name in ("gelslim-dots", "mini-ball") if (DATA / name).is_dir()]
+        images |= {path: shown_press(gelform.read_presses(path)) for path in real}
         for presses, image in images.items():
             np.save(Path(folder) / f"{presses.name}.npy", image)
         frames = [(presses, Path(folder) / f"{presses.name}.npy") for presses in images]
