@@ -323,7 +323,7 @@ ROOMS = {"circles": "calibration", "streams": "sensors", "motion": "motion", "pr
 
 def parts_of(room: str, reached: bool = True) -> list[str]:
     """The parts that a room's numbers are tried on, the quick ones first; all of them if none `reached` the number."""
-    return [part for part in PARTS if not reached or ROOMS.get(part, room) in room.split("/")]
+    return [part for part in PARTS if not reached or part not in ROOMS or ROOMS[part] in room.split("/")]
 
 
 def figures_of(part: str, shared: dict[str, bytes]) -> Figures:
