@@ -99,6 +99,20 @@ def test_tables_are_shown_only_if_asked_for(works, folder, tmp_path, monkeypatch
     assert fresh == load_calibration(tmp_path / "cal.npz").held_out
 
 
+def test_a_poor_result_shows_its_notes(works, folder, tmp_path):
+    """They may name the cause; here every second press's ball is stated too large."""
+    with (folder / "presses.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    with (folder / "presses.csv").open("w") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        for k, row in enumerate(rows):
+            writer.writerow({**row, "ball_diameter_mm": (1 + 0.6 * (k % 2)) * float(row["ball_diameter_mm"])})
+    _, err = works("calibrate", folder, "--model", "polynomial", "-o", tmp_path / "cal.npz")
+    assert "Poor" in err
+    assert "note: " in err
+
+
 def test_the_time_is_that_of_the_whole_command(run, folder, tmp_path, monkeypatch):
     """Of the report too, which takes as long as the calibration."""
     now, later = time.monotonic, 0.0

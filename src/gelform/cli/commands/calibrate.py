@@ -115,6 +115,8 @@ def calibrate(
     verdict = content["verdict"]
     if verbose:
         _show(calibration, shown)
+    for note in calibration.report.notes if verbose or verdict["level"] == "poor" else ():  # it may be the cause
+        say(f"note: {note}", shown.silent)
     shown.say(f"{verdict['headline']}.")
     shown.say(f"Next: {_with_places(verdict['next'], content['coverage']['next'])}")
     shown.say(f"Checks: {verdict['checks']}.")
@@ -163,8 +165,6 @@ def _show(calibration: gelform.Calibration, shown: ShownOption) -> None:
     held_out = [(FIGURES[name], error, report.held_out[name]) for name, error in saved]
     columns = ("held-out error", "saved model", "whole procedure")
     shown.table("Errors on held-out presses", columns, held_out)
-    for note in report.notes:
-        say(f"note: {note}", shown.silent)
 
 
 def starter(
