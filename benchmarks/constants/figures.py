@@ -13,7 +13,7 @@ import numpy as np
 
 DATA = Path(os.environ.get("GELFORM_DATA", Path(__file__).parents[3] / "shared" / "data"))
 SETS = ("mini-ball", "digit-ball", "gelslim-dots", "mini-d", "homemade-even/a")
-REFINED = ("mini-ball", "homemade-even/a")  # whose presses are fitted in each trial
+REFINED = ("mini-ball",)  # whose presses are fitted in each trial
 PRESSES, FRAMES = 13, 3
 Figures = dict[str, Any]
 
