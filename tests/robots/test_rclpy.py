@@ -361,9 +361,11 @@ FROM_OUTSIDE = """
 import threading, rclpy
 from gelform_ros import node
 class Node(node.GelformNode):
+    sent = 0
     def _send(self, *given):
         super()._send(*given)
-        if self.frames == 20:
+        self.sent += 1
+        if self.sent == 20:
             threading.Thread(target=rclpy.shutdown).start()
 node.GelformNode = Node
 node.main()
