@@ -115,7 +115,9 @@ def calibrate(
     verdict = content["verdict"]
     if verbose:
         _show(calibration, shown)
-    for note in calibration.report.notes if verbose or verdict["level"] == "poor" else ():  # it may be the cause
+    for note in (
+        calibration.report.notes if verbose or verdict["level"] == "poor" else ()
+    ):  # it may be the cause
         say(f"note: {note}", shown.silent)
     shown.say(f"{verdict['headline']}.")
     shown.say(f"Next: {_with_places(verdict['next'], content['coverage']['next'])}")
