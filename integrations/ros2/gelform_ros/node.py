@@ -28,6 +28,7 @@ from gelform.robots.ros_messages import RosMessages
 from gelform.robots.send import heard_of
 from gelform.robots.topics import TOPICS, USUAL, sensor_name_from
 from gelform.sensors import read_background
+from gelform.sensors.playback import Every
 from gelform.sensors.streams.memory import LOOK_S
 from gelform_ros import interruptible
 
@@ -74,7 +75,7 @@ class GelformNode(Node):
         loaded = gelform.load_calibration(calibration)
         if depth_only:
             topics = "indentation,diagnostics"
-        self._period_s = 1 / rate_hz if rate_hz else 0.0
+        self._due = Every(1 / rate_hz if rate_hz else 0.0)
         self._messages = RosMessages(
             name or sensor_name_from(loaded.sensor_name),
             loaded.serial or "",
@@ -148,8 +149,8 @@ class GelformNode(Node):
         self.ended.set_result(self.status)
 
     def _publish_results(self) -> None:
-        index, start, due_s = -1, (0, 0.0), time.monotonic()
-        while not self._stop.wait(max(due_s - time.monotonic(), 0.0)):
+        index, start = -1, (0, 0.0)
+        while not self._stop.is_set():
             one = self._stream.newest(index, SILENT_S)
             if one is None:
                 stats = self._stream.stats
@@ -165,7 +166,8 @@ class GelformNode(Node):
                 continue
             start = start if self.frames else (time.time_ns(), one.time_s)
             index = one.index
-            due_s = max(due_s, time.monotonic() - self._period_s) + self._period_s
+            if not self._due(one.time_s):
+                continue
             # A video has no times of capture: its frames are as far from the first as the source says.
             stamp_ns = one.frame.wall_time_ns or start[0] + round((one.time_s - start[1]) * 1e9)
             self.frames += 1
