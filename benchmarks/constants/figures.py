@@ -331,4 +331,5 @@ def figures_of(part: str, shared: dict[str, bytes]) -> Figures:
     try:
         return PARTS[part](shared)
     except Exception as problem:  # a trial may make the work impossible, which is its figure
-        return {"part error": f"{type(problem).__name__}: {problem}"[:80]}
+        said = str(problem).replace(f"{DATA}{os.sep}", "")  # a record holds no path of a machine
+        return {"part error": f"{type(problem).__name__}: {said}"[:80]}
