@@ -193,11 +193,11 @@ def mixed_balls(located: Located, radius_errors: Sequence[float]) -> tuple[BallR
     more than the two parameters cost (G. Schwarz, Ann. Statist. 6, 1978). It is not asked while held-out spheres are right,
     by their `radius_errors` (%).
     """
+    if np.nanmedian(np.abs(radius_errors)) <= 100 * SIZE_SIGMA:
+        return ()
     refined, chosen = located.refined, np.array(located.refined.accepted)
     wide = np.array([refined.contacts[i].radius_px / located.prepared[i].ball_radius_px for i in chosen])
     split, ratio, tried = wide > np.median(wide), 1.0, set[bytes]()
-    if np.nanmedian(np.abs(radius_errors)) <= 100 * SIZE_SIGMA:
-        return ()
     while split.tobytes() not in tried:
         if min(np.count_nonzero(part) for part in (split, ~split)) < NEEDED.model.presses:
             return ()
