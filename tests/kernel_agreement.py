@@ -115,6 +115,11 @@ def cells(s):
     return {"c": c, "n": (c + 1) * s["w"] + 4 * s["k"]}
 
 
+def touched(s):
+    r, k = s["r"], s["k"]
+    return {"n": max(s["w"] + 4 * k, (r + 2) * (k + 2) + -(-r * k // 4))}
+
+
 def coarser(s):
     return {"rows": half(s["h"]), "columns": half(s["w"]), "of_run": 3, "n": (s["c"] + 1) * s["w"]}
 
@@ -168,6 +173,7 @@ def filtered_modes(s):
 SIZES = {
     "ball_surface": lambda s: {"points": s["points"] + 1}, "gray_levels": lambda s: {"points": s["points"] + 1},
     "bent_surface": bent, "cell_means": cells, "coarser_known": coarser, "fill_from_coarser": coarser,
+    "cells_over_rest": lambda s: {"n": max(4 * (s["w"] + s["k"]), 3 * s["r"] * s["k"])},
     "color_change": blurred, "hierarchical_from_image": blurred_at_nodes,
     "hierarchical_gradients": nodes, "forward_step": nodes,
     "column_jumps": lambda s: {"w": (w := s["w"] + 8), "n": 3 * (w - 1) + 2 * ((w - 1) // 8)},
@@ -176,7 +182,7 @@ SIZES = {
     "cosine_rows": cosines, "dct_passes": lambda s: {**(c := cosines(s)), "w": 2 * c["half"], "rows": s["h"]},
     "dct_product": stride, "dct_right_side": stride, "dct_sweep": stride,
     "depth_errors": lambda s: {"row_ends": s["r"] + 1, "column_ends": s["c"] + 1, "maps": 10, "n": 10 * s["w"]},
-    "distance_to_chosen": lambda s: {"n": (s["h"] + 2) * (s["w"] + 2)},
+    "distance_from_touched": touched,
     "fit_light": lambda s: {"m": 14 * s["n"], "rounds": s["rounds"] % 4 + 1},
     "follow_patches": lambda s: {"side": (side := s["pixels"] % 9 + 1), "pixels": side**2},
     "health_blocks": lambda s: {"h": s["h"] + 15, "w": s["w"] + 15, "bh": (s["h"] + 15) // 16, "bw": (s["w"] + 15) // 16},
@@ -191,11 +197,10 @@ SIZES = {
     "motion_rows": lambda s: {"h": s["h"] + 1, "w": s["w"] + 1}, "png_rows": lambda s: {"n": (n := 3 * s["n"]), "r": n + 1},
     "polynomial_gradients": lambda s: {"n": 6 * up(s["w"])},
     "pressed_regions": pressed, "rasterise": lambda s: {"count": s["count"] + 3},
-    "rest_hold": lambda s: {"n": 9 * s["h"] * half(s["w"]) + 4 * s["h"] * s["w"]},
+    "rest_anchor": lambda s: {"n": max(9 * s["r"] * half(s["k"]) + 5 * s["r"] * s["k"], 4 * s["w"] + s["r"] * s["k"])},
     "slope_budget": lambda s: {"parts": 8, "count": 21},
     "touched_regions": lambda s: {"m": s["h"] * s["w"], "n": 5 * s["h"] * half(s["w"]) + -(-s["h"] * s["w"] // 4)},
     "slopes_over_rest": lambda s: {"n": 3 * s["r"] * s["k"]}, "root_at_pixels": lambda s: {"n": 4 * s["w"]},
-    "spread_over_chosen": lambda s: {"n": 4 * s["w"]},
 }  # fmt: skip
 
 

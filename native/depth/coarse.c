@@ -94,6 +94,18 @@ EXPORT int slopes_over_rest(float *change, float *slopes, bool *rest, float *wor
   return OK;
 }
 
+// Means of a frame's color change and slopes over cells, over rest if every cell has a seen pixel; returns the number of cells
+// without any.
+EXPORT int cells_over_rest(const float *change, const float *slopes, const bool *seen, float *work, float *change_cells,
+                           float *slope_cells, float *shares, bool *rest, float most, double share, ptrdiff_t h, ptrdiff_t w,
+                           ptrdiff_t n, ptrdiff_t r, ptrdiff_t k) {
+  int status = cell_means(change, seen, work, change_cells, shares, h, w, CHANNELS, n, r, k), unknown = 0;
+  if (status == OK) status = cell_means(slopes, seen, work, slope_cells, shares, h, w, 2, n, r, k);
+  if (status != OK) return status;
+  for (ptrdiff_t i = 0; i < r * k; i++) unknown += !(shares[i] > 0);
+  return unknown ? unknown : slopes_over_rest(change_cells, slope_cells, rest, work, most, share, r, k, n);
+}
+
 // The root of a variance (r, c) at every pixel, bilinearly; `most` where it is larger, and at lost pixels. `lost`:
 // NULL where there are none.
 EXPORT int root_at_pixels(const float *variance, const bool *lost, float *work, float *sigma, float most, ptrdiff_t r, ptrdiff_t c,

@@ -128,11 +128,76 @@ def test_any_shape(shape):
     assert np.isfinite(anchor).all()
 
 
+def overlaps(pixels, cells):
+    """Length (cells, pixels) that each cell has of each pixel."""
+    edges = np.linspace(0, pixels, cells + 1)
+    at = np.arange(pixels)
+    return np.maximum(np.minimum(edges[1:, None], at + 1) - np.maximum(edges[:-1, None], at), 0)
+
+
+def means_by_numpy(values, seen, cells):
+    down, across = (overlaps(n, m) for n, m in zip(values.shape, cells))
+    weight = np.ones(values.shape[:2]) if seen is None else seen.astype(float)
+    area = down @ weight @ across.T
+    sums = np.einsum("ry,yxc,kx->rkc", down, values.astype(float) * weight[..., None], across)
+    return sums / np.where(area > 0, area, 1)[..., None], area / np.outer(down.sum(1), across.sum(1))
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_means_over_cells_agree_with_numpy(masked):
+    """Cells of whole pixels and of parts of them; hidden pixels are left out, and a cell without a seen one is 0."""
+
+    def by_numpy(values, seen, work, cells, shares):
+        return means_by_numpy(values, seen, cells.shape[:2])
+
+    rng = np.random.default_rng(0)
+    for shape, cells in (((8, 12), (2, 3)), ((17, 29), (4, 7)), ((3, 5), (2, 2)), ((1, 2), (2, 2))):
+        for channels in (0, 1, 3):
+            values = rng.normal(size=(*shape, channels)).astype(np.float32)
+            seen = rng.uniform(size=shape) < 0.3 if masked else None
+            arguments = values, seen, np.empty((channels + 1) * shape[1] + 4 * cells[1], np.float32)
+            found = np.empty((*cells, channels), np.float32), np.empty(cells, np.float32)
+            assert_kernel_agrees(room._cell_means, by_numpy, *arguments, *found)
+
+
+def over_rest_by_numpy(change, slopes, rest, work, most, share):
+    """At least a share of the cells, those with the least change, is at rest."""
+    change = change - np.median(change, axis=(0, 1))
+    square = (change.astype(float) ** 2).sum(-1)
+    rest = square <= most
+    if rest.sum() < share * rest.size:
+        rest = square <= np.quantile(square, share, method="lower")
+    return change, slopes - np.median(slopes[rest], axis=0), rest
+
+
+def test_cells_at_rest_agree_with_numpy():
+    """Of a frame at once too, unless a cell has no seen pixel."""
+
+    def of_frame(change, slopes, seen, work, change_cells, slope_cells, shares, rest, most, share):
+        change, shares = means_by_numpy(change, seen, shares.shape)
+        slopes, _ = means_by_numpy(slopes, seen, shares.shape)
+        if shares.all():
+            change, slopes, rest = over_rest_by_numpy(change, slopes, rest, work, most, share)
+        return change, slopes, shares, rest
+
+    assert_kernel_agrees(room._slopes_over_rest, over_rest_by_numpy)
+    assert_kernel_agrees(room._cells_over_rest, of_frame)
+    rng = np.random.default_rng(1)
+    change, slopes = (rng.normal(size=(16, 12, channels)).astype(np.float32) for channels in (3, 2))
+    cells = [np.zeros((4, 3, channels), np.float32) for channels in (3, 2, 1)]
+    rest, work = np.zeros((4, 3), bool), np.empty(60, np.float32)
+    for hidden in (3, 4):  # px; the first cell has four
+        seen = np.ones((16, 12), bool)
+        seen[:hidden, :4] = False
+        found = *cells[:2], cells[2][..., 0].copy(), rest
+        assert_kernel_agrees(room._cells_over_rest, of_frame, change, slopes, seen, work, *found, 3.0, 0.1)
+
+
 def hold_by_scipy(depth, share, far, hold, least, face):
     """Of regions that share an edge; those that touched gel encloses are free where they are off rest in the mean."""
     rest = share >= min(least, share.max())
     z = depth.astype(np.float64) - np.median(depth[rest])
-    weight = hold * (np.ones(depth.shape) if far is None else far)
+    weight = hold * far.astype(np.float64)
     labels, count = ndimage.label(rest)
     border = np.ones(depth.shape, bool)
     border[1:-1, 1:-1] = False
@@ -143,33 +208,29 @@ def hold_by_scipy(depth, share, far, hold, least, face):
     return weight
 
 
-def test_the_hold_of_a_coarse_depth():
+def test_the_hold_of_a_coarse_depth_is_spread_bilinearly():
     found = []
 
-    def by_scipy(depth, share, far, work, weight, *limits):
+    def by_scipy(depth, share, far, at_rest, work, anchor, *limits):
         found.append(hold_by_scipy(depth, share, far, *limits))
-        return found[-1]
+        sizes = zip(at_rest.shape, depth.shape)
+        places = [np.clip((np.arange(n) + 0.5) * m / n - 0.5, 0, m - 1) for n, m in sizes]
+        at = np.meshgrid(*places, indexing="ij")
+        return at_rest * ndimage.map_coordinates(found[-1], at, order=1)
 
-    assert_kernel_agrees(room._rest_hold, by_scipy)
+    assert_kernel_agrees(room._rest_anchor, by_scipy)
     assert any((one == 0).any() for one in found)
 
 
-def test_a_coarse_map_is_spread_bilinearly():
-    def by_scipy(coarse, chosen, *_):
-        sizes = zip(chosen.shape, coarse.shape)
-        places = [np.clip((np.arange(n) + 0.5) * m / n - 0.5, 0, m - 1) for n, m in sizes]
-        at = np.meshgrid(*places, indexing="ij")
-        return chosen * ndimage.map_coordinates(coarse.astype(float), at, order=1)
+def test_distances_from_touched_cells_are_those_of_opencv():
+    def by_opencv(at_rest, work, share, distance, least):
+        down, across = (overlaps(n, m) for n, m in zip(at_rest.shape, share.shape))
+        share = down @ at_rest @ across.T / np.outer(down.sum(1), across.sum(1))
+        touched = share.astype(np.float32) < min(least, share.astype(np.float32).max())
+        distance = cv2.distanceTransform((~touched).view(np.uint8), cv2.DIST_L2, 3).reshape(share.shape)
+        return share, distance if touched.any() else np.full(share.shape, np.inf)
 
-    assert_kernel_agrees(room._spread_over_chosen, by_scipy)
-
-
-def test_distances_are_those_of_opencv():
-    def by_opencv(chosen, work, distance):
-        found = cv2.distanceTransform((~chosen).view(np.uint8), cv2.DIST_L2, 3).reshape(chosen.shape)
-        return found if chosen.any() else np.full(chosen.shape, 2.0**14)
-
-    assert_kernel_agrees(room._distance_to_chosen, by_opencv)
+    assert_kernel_agrees(room._distance_from_touched, by_opencv)
 
 
 ODD = (90, 121)

@@ -194,41 +194,12 @@ def test_it_is_bounded_and_the_contact_s_is_without_what_is_common():
         errors_of(1e25 * bump(-1.0))
 
 
-def overlaps(pixels, cells):
-    """Length (cells, pixels) that each cell has of each pixel."""
-    edges = np.linspace(0, pixels, cells + 1)
-    at = np.arange(pixels)
-    return np.maximum(np.minimum(edges[1:, None], at + 1) - np.maximum(edges[:-1, None], at), 0)
-
-
-@pytest.mark.parametrize("masked", [False, True])
-def test_means_over_cells_agree_with_numpy(masked):
-    """Cells of whole pixels and of parts of them; hidden pixels are left out, and a cell without a seen one is 0."""
-
-    def by_numpy(values, seen, work, cells, shares):
-        down, across = overlaps(len(values), len(cells)), overlaps(values.shape[1], cells.shape[1])
-        weight = np.ones(values.shape[:2]) if seen is None else seen.astype(float)
-        area = down @ weight @ across.T
-        sums = np.einsum("ry,yxc,kx->rkc", down, values.astype(float) * weight[..., None], across)
-        return sums / np.where(area > 0, area, 1)[..., None], area / np.outer(down.sum(1), across.sum(1))
-
-    rng = np.random.default_rng(0)
-    for shape, cells in (((8, 12), (2, 3)), ((17, 29), (4, 7)), ((3, 5), (2, 2)), ((1, 2), (2, 2))):
-        for channels in (0, 1, 3):
-            values = rng.normal(size=(*shape, channels)).astype(np.float32)
-            seen = rng.uniform(size=shape) < 0.3 if masked else None
-            arguments = values, seen, np.empty((channels + 1) * shape[1] + 4 * cells[1], np.float32)
-            found = np.empty((*cells, channels), np.float32), np.empty(cells, np.float32)
-            assert_kernel_agrees(coarse_module._cell_means, by_numpy, *arguments, *found)
-
-
 @pytest.mark.parametrize("shape", [(1, 1), (3, 5), (17, 29), (120, 160)])
 def test_a_grid_of_any_size(shape):
     found = Coarse(shape)
     assert min(found.shape) >= 2
     level = found.at_pixels(found.means(np.full((*shape, 1), 2.0, np.float32))[0][..., 0])
     np.testing.assert_allclose(level, 2, rtol=1e-6)
-    np.testing.assert_allclose(found.share(np.ones(shape, bool)), 1, rtol=1e-6)
     if min(shape) > 1:
         made = DepthSigma(shape, PITCH, full_confidence_sigma=FULL, factor=1.0, gain_sigma=0.1)
         depth = np.ones(shape, np.float32)
@@ -260,20 +231,6 @@ def numpy_errors(
 
 def test_the_kernel_agrees_with_numpy():
     assert_kernel_agrees(sigma._depth_errors, numpy_errors)
-
-
-def test_cells_at_rest_agree_with_numpy():
-    """At least a share of them, those with the least change, is at rest."""
-
-    def by_numpy(change, slopes, rest, work, most, share):
-        change = change - np.median(change, axis=(0, 1))
-        square = (change.astype(float) ** 2).sum(-1)
-        rest = square <= most
-        if rest.sum() < share * rest.size:
-            rest = square <= np.quantile(square, share, method="lower")
-        return change, slopes - np.median(slopes[rest], axis=0), rest
-
-    assert_kernel_agrees(coarse_module._slopes_over_rest, by_numpy)
 
 
 def test_a_variance_on_the_grid_is_a_deviation_at_every_pixel():

@@ -15,7 +15,7 @@ static inline int32_t by_way_of(const int32_t *at, ptrdiff_t back, ptrdiff_t ahe
 }
 
 // Distance of each pixel to the nearest chosen one, px, FAR / 65536 where none is.
-EXPORT int distance_to_chosen(const bool *chosen, float *work, float *distance, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
+int distance_to_chosen(const bool *chosen, float *work, float *distance, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
   const ptrdiff_t wide = w + 2;
   int32_t *all = (int32_t *)work, *first = all + wide + 1;
   if (n < (h + 2) * wide) return WRONG_SIZE;

@@ -107,11 +107,13 @@ EXPORT int dct_sweep(float *spectrum, const float *pivots, const int64_t *splits
   return OK;
 }
 
-// The depth of right sides in place: all three passes of a width that `cosine_rows` transforms.
-EXPORT int dct_passes(float *spectrum, const float *turns, const float *twists, const float *pivots, const int64_t *splits,
-                      const float *end, float *work, ptrdiff_t h, ptrdiff_t stride, ptrdiff_t half, ptrdiff_t knots, ptrdiff_t rows,
-                      ptrdiff_t w, ptrdiff_t n) {
-  const int status = w == 2 * half ? cosine_rows(spectrum, turns, twists, work, 0, h, stride, half, knots, n) : WRONG_SIZE;
+// The depth of gradients, or of right sides in place where there are none: all passes of a width that `cosine_rows` transforms.
+EXPORT int dct_passes(float *spectrum, const float *gradients, const float *turns, const float *twists, const float *pivots,
+                      const int64_t *splits, const float *end, float *work, float scale_x, float scale_y, ptrdiff_t h,
+                      ptrdiff_t stride, ptrdiff_t w, ptrdiff_t half, ptrdiff_t knots, ptrdiff_t rows, ptrdiff_t n) {
+  if (w != 2 * half) return WRONG_SIZE;
+  if (gradients != NULL) dct_right_side(gradients, spectrum, scale_x, scale_y, h, w, stride);
+  const int status = cosine_rows(spectrum, turns, twists, work, 0, h, stride, half, knots, n);
   if (status != OK) return status;
   dct_sweep(spectrum, pivots, splits, end, h, stride, rows, w);
   return cosine_rows(spectrum, turns, twists, work, 1, h, stride, half, knots, n);

@@ -25,6 +25,11 @@ _cell_means = Kernel(
     "cell_means",
     "f32[h,w,c] values, bool[h,w]? seen, out f32[n] work, out f32[r,k,c] cells, out f32[r,k] shares",
 )
+_cells_over_rest = Kernel(
+    "cells_over_rest",
+    "f32[h,w,3] change, f32[h,w,2] slopes, bool[h,w]? seen, out f32[n] work, out f32[r,k,3] change_cells, "
+    "out f32[r,k,2] slope_cells, out f32[r,k] shares, out bool[r,k] rest, f32 most, f64 share",
+)
 _slopes_over_rest = Kernel(
     "slopes_over_rest",
     "out f32[r,k,3] change, out f32[r,k,2] slopes, out bool[r,k] rest, out f32[n] work, f32 most, f64 share",
@@ -54,10 +59,6 @@ class Coarse:
         work = np.empty((channels + 1) * width + 4 * self.shape[1], np.float32)
         _cell_means(values, seen, work, cells, shares)
         return cells, shares
-
-    def share(self, mask: Mask) -> Map:
-        """The share (rows, columns) of a mask (H, W) in each cell."""
-        return self.means(np.empty((*mask.shape, 0), np.float32), mask)[1]
 
     def depth_px(self, slopes: Slopes) -> Map:
         """Least-squares depth (rows, columns) of slopes there (rows, columns, 2), px; its mean is 0."""
@@ -94,54 +95,54 @@ REST_SIGMA_MM = 0.057  # mm, sigma of depth at pixels with the color of rest, fa
 REACH_MM = 1.0  # mm; touched gel draws down the gel at this distance, by exp(-(distance/reach)^2)
 UNTOUCHED_FRACTION = 0.5  # of a coarse pixel that has the color of rest: above it is at rest, below touched
 
-_rest_hold = Kernel(
-    "rest_hold",
-    "f32[h,w] depth, f32[h,w] share, f32[h,w]? far, out f32[n] work, out f32[h,w] weight, f32 hold, f32 least, "
-    "f32 face",
+_distance_from_touched = Kernel(
+    "distance_from_touched",
+    "bool[h,w] at_rest, out f32[n] work, out f32[r,k] share, out f32[r,k] distance, f32 least",
 )
-_spread_over_chosen = Kernel(
-    "spread_over_chosen", "f32[rows,columns] coarse, bool[h,w] chosen, out f32[n] work, out f32[h,w] map"
+_rest_anchor = Kernel(
+    "rest_anchor",
+    "f32[r,k] depth, f32[r,k] share, f32[r,k] far, bool[h,w] at_rest, out f32[n] work, out f32[h,w] anchor, f32 hold, "
+    "f32 least, f32 face",
 )
-_distance_to_chosen = Kernel("distance_to_chosen", "bool[h,w] chosen, out f32[n] work, out f32[h,w] distance")
 
 
 class RestAnchor:
     """The anchor of frames (H, W). It is prepared once and immutable; threads can share it."""
 
     def __init__(self, shape: tuple[int, int], mm_per_px: float, full_confidence_sigma: float) -> None:
-        self.shape, self._mm_per_px = shape, np.float32(mm_per_px)
+        self.shape = shape
         self.hold = (full_confidence_sigma * mm_per_px / REST_SIGMA_MM) ** 2
-        self._coarse = coarse_of(shape)
-        rows, columns = self._coarse.shape
-        self._coarse_mm = mm_per_px * sum(self._coarse.pitch_px) / 2
+        self._coarse = coarse = coarse_of(shape)
+        rows, columns = coarse.shape
+        # An enclosed region farther than 0.02 mm off rest is a face; slope errors tilt a face of a few mm by less.
+        self._face_px, self._per_reach = (
+            0.02 / mm_per_px,
+            np.float32(mm_per_px * sum(coarse.pitch_px) / 2 / REACH_MM),
+        )
         # Five floats for a run of pixels and four for its region, as in native/depth/anchor/hold.c.
-        of_coarse = (5 + 4) * rows * ((columns + 1) // 2) + 4 * rows * columns
-        size = max(4 * shape[1], of_coarse, (rows + 2) * (columns + 2))
-        self._pool = Pool(lambda: np.empty(size, dtype=np.float32))
+        of_hold = (5 + 4) * rows * ((columns + 1) // 2) + 5 * rows * columns
+        most = max(5 * shape[1] + rows * columns, of_hold, (rows + 2) * (columns + 2) + rows * columns)
+        self._pool = Pool(lambda: np.empty(most, dtype=np.float32))
 
-    def __call__(self, gradients: Slopes, at_rest: Mask, depth_px: Map | None = None) -> Map:
-        """Anchor (H, W) of slopes (H, W, 2) without bias; 0 where the gel was touched or pressed flat.
+    def __call__(self, gradients: Slopes, at_rest: Mask, depth_px: Map | None = None) -> Map | None:
+        """Anchor (H, W) of slopes (H, W, 2) without bias; 0 where the gel was touched or pressed flat; None if it is 0.
 
         The depth on the coarser grid, px, is solved if it is not given.
         A pixel at rest gets `(full_confidence_sigma mm_per_px / REST_SIGMA_MM)^2`, times `1 - exp(-(d/REACH_MM)^2)` with its
         distance d from touched gel; in a face it gets 0. If no coarse pixel is at rest, the coarse pixels with the largest
         fraction at rest are taken instead.
         """
-        coarse, far = self._coarse, None
-        fraction = coarse.share(at_rest)
+        coarse = self._coarse
         depth_px = coarse.depth_px(coarse.means(gradients)[0]) if depth_px is None else depth_px
-        depth = depth_px * self._mm_per_px
-        weight, distance = np.empty((2, *coarse.shape), np.float32)
+        share, distance = np.empty((2, *coarse.shape), np.float32)
         anchor = np.empty(self.shape, np.float32)
-        touched = fraction < min(UNTOUCHED_FRACTION, float(fraction.max()))
         with self._pool.one() as work:
-            if touched.any():
-                _distance_to_chosen(touched, work, distance)
-                far = 1 - np.exp(-np.square(distance * np.float32(self._coarse_mm / REACH_MM)))
-            # An enclosed region farther than 0.02 mm off rest is a face; slope errors tilt a face of a few mm by less.
-            _rest_hold(depth, fraction, far, work, weight, self.hold, least=UNTOUCHED_FRACTION, face=0.02)
-            _spread_over_chosen(weight, at_rest, work, anchor)
-        return anchor
+            _distance_from_touched(at_rest, work, share, distance, UNTOUCHED_FRACTION)
+            far = 1 - np.exp(-np.square(distance * self._per_reach))
+            holds = _rest_anchor(
+                depth_px, share, far, at_rest, work, anchor, self.hold, UNTOUCHED_FRACTION, self._face_px
+            )
+        return anchor if holds else None
 
 
 class CoarseDepth:
@@ -161,13 +162,17 @@ class CoarseDepth:
         It comes from a color change (H, W, 3) and the gradients (H, W, 2) of a color model. The slopes around hidden pixels
         (H, W) are continued across them.
         """
-        seen = None if hidden is None or not hidden.any() else ~hidden
-        (change, share), (slopes, _) = (self._coarse.means(one, seen) for one in (color_change, gradients))
-        if seen is not None and (known := share > 0).any():
-            change, slopes = fill_unknown(change, known), fill_unknown(slopes, known)
-        rest = np.empty(self._coarse.shape, dtype=np.bool_)
-        work = np.empty(3 * rest.size, dtype=np.float32)
-        _slopes_over_rest(change, slopes, rest, work, self._square, MIN_UNTOUCHED)
+        shape, width = self._coarse.shape, color_change.shape[1]
+        change, slopes = np.empty((*shape, 3), np.float32), np.empty((*shape, 2), np.float32)
+        share, rest = np.empty(shape, np.float32), np.empty(shape, np.bool_)
+        work = np.empty(max(4 * (width + shape[1]), 3 * rest.size), np.float32)
+        seen = None if hidden is None else ~hidden
+        if _cells_over_rest(
+            color_change, gradients, seen, work, change, slopes, share, rest, self._square, MIN_UNTOUCHED
+        ):
+            if (known := share > 0).any():
+                change, slopes = fill_unknown(change, known), fill_unknown(slopes, known)
+            _slopes_over_rest(change, slopes, rest, work, self._square, MIN_UNTOUCHED)
         depth = self._coarse.depth_px(slopes)
         depth -= medians_where(depth[..., None], rest)[0]
         return depth

@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gelform._native import is_finite
 from gelform.arrays import Array, Map, Mask, Slopes
 from gelform.depth.coarse import RestAnchor
 from gelform.depth.solvers import SOLVERS, Solution, Solver, Weights
@@ -185,7 +184,7 @@ class IntegrationProblem:
     mm_per_px: tuple[float, float]
     weights: Weights = None
     mask: Mask | None = None
-    anchor: Map | None = None  # (H, W)
+    anchor: Map | None = None  # (H, W), not 0 everywhere
     zero: Zero | Mask = "mean"
     level: Level | None = None
     solver: str = "auto"
@@ -229,18 +228,13 @@ class IntegrationProblem:
     def _frame(self, solver: str, gradients: Slopes, weights: Weights) -> Solution:
         prepared = _prepared(solver, (gradients.shape[0], gradients.shape[1]), self.mm_per_px)
         frame = prepared(gradients, weights, self.mask, self.anchor)
-        if not is_finite(frame.depth_mm):
-            raise ConvergenceError(
-                f"Expected finite depth, got infinity or NaN from solver {solver!r}. Slopes, weights, anchor "
-                "or mm_per_px differ by more than float32 holds: check their scales."
-            )
         return frame._replace(depth_mm=self._placed(frame.depth_mm))
 
     def _placed(self, depth: Map) -> Map:
         """Set the zero of each island that no anchor holds, level, then fill beyond the mask."""
         mask = self.mask
         if mask is None:
-            if self.anchor is None or not self.anchor.any():
+            if self.anchor is None:
                 depth -= zero_depth(depth, self.zero, self.region)
             return self._levelled(depth)
         held = False if self.anchor is None else self.anchor > 0
@@ -354,15 +348,15 @@ def check_weights(weights: Any, shape: tuple[int, ...]) -> Weights:
     return array
 
 
-def check_anchor(anchor: ArrayLike, shape: tuple[int, int]) -> Map:
-    """An anchor map (H, W) from a map or a number."""
+def check_anchor(anchor: ArrayLike, shape: tuple[int, int]) -> Map | None:
+    """An anchor map (H, W) from a map or a number; None if it is 0 everywhere."""
     array = as_array(anchor, "anchor")
     array = check_map(
         np.full(shape, array) if array.ndim == 0 else array, "anchor", shape=shape, nonnegative=True
     )
     if array.ndim != 2:
         raise ValueError(f"Expected anchor as a number or of shape {shape}, got {array.shape}.")
-    return array
+    return array if array.any() else None
 
 
 class FrameDepth:

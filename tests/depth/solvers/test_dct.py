@@ -142,11 +142,15 @@ def test_the_passes_in_one_call_are_those_one_by_one(shape):
         dct._elimination(shape, (0.05, 0.08)),
     )
 
-    def one_by_one(spectrum, *_):
+    def one_by_one(spectrum, gradients, *rest):
+        if gradients is not None:
+            spectrum = right_side(gradients, spectrum, *rest[-2:])
         whole = transformed_rows(spectrum, shape[1], 0)
         return transformed_rows(swept(whole, *elimination), shape[1], 1)
 
-    assert_kernel_agrees(dct._passes, one_by_one, work, *dct._turns(shape[1]), *elimination, scratch)
+    tables = *dct._turns(shape[1]), *elimination, scratch
+    for gradients in (None, np.random.default_rng(9).standard_normal((*shape, 2)).astype(np.float32)):
+        assert_kernel_agrees(dct._passes, one_by_one, work, gradients, *tables, 0.7, 0.4)
 
 
 @pytest.mark.parametrize("shape", [(2, 4), (12, 16), (30, 20)])

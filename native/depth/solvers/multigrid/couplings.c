@@ -77,7 +77,16 @@ static void right_side(const float *restrict g, const float *restrict east, cons
   }
 }
 
-// Writes couplings and right side; returns 1 if the coarse levels have to be built anew.
+// The coarse levels of the couplings that were written to the finest one.
+static void build(struct multigrid *grid) {
+  for (ptrdiff_t k = 1; k <= grid->levels->height; k++) invert_diagonal(grid->levels, k);
+  for (int k = 0; k + 1 < grid->count; k++) coarsen(grid, k);
+  invert_coarsest(grid);
+  find_islands(grid);
+  grid->built = true;
+}
+
+// Writes couplings and right side, and builds the coarse levels unless the couplings are those that they were built of.
 EXPORT int multigrid_load(struct multigrid *grid, const float *gradients, const float *confidence, const float *anchor, float hx,
                           float hy, ptrdiff_t h, ptrdiff_t w) {
   if (h != grid->height || w != grid->width) return WRONG_SIZE;
@@ -99,9 +108,8 @@ EXPORT int multigrid_load(struct multigrid *grid, const float *gradients, const 
     changed |= store_edges(east, row(l->east, l, k), w);
     if (i < h) changed |= store_edges_down(grid, i, south);
   }
-  for (ptrdiff_t k = 1; changed && k <= l->height; k++) invert_diagonal(l, k);
-  grid->built &= !changed;
-  return changed;
+  if (changed) build(grid);
+  return OK;
 }
 
 // The same of couplings that are given, one for each edge, (h, w - 1) and (h - 1, w), and of a right side that is given.
@@ -116,17 +124,7 @@ EXPORT int multigrid_load_edges(struct multigrid *grid, const float *east, const
     store_edges(east + (i - 1) * edges, row(l->east, l, k), w);
     if (i < h) memcpy(grid->lines, south + (i - 1) * w, w * sizeof(float)), store_edges_down(grid, i, grid->lines);
   }
-  for (ptrdiff_t k = 1; k <= l->height; k++) invert_diagonal(l, k);
   grid->largest = largest_magnitude(right, h * w);
-  grid->built = false;
-  return 1;
-}
-
-// The coarse levels of the couplings that are loaded.
-EXPORT int multigrid_build(struct multigrid *grid) {
-  for (int k = 0; k + 1 < grid->count; k++) coarsen(grid, k);
-  invert_coarsest(grid);
-  find_islands(grid);
-  grid->built = true;
+  build(grid);
   return OK;
 }

@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 
 from gelform._native import Kernel
 from gelform.arrays import Array, Floats, Map, Mask
-from gelform.depth.solvers.seam import Solution, Weights, constant_map, divergence, edges_from_gradients
+from gelform.depth.solvers.seam import (
+    Solution,
+    Weights,
+    check_depth,
+    constant_map,
+    divergence,
+    edges_from_gradients,
+)
 from gelform.foundations.pool import Pool
 
 ROWS = 16  # that the kernel of native/depth/solvers/cosine.c transforms side by side
@@ -33,8 +40,8 @@ _cosine_rows = Kernel(
 )
 _passes = Kernel(
     "dct_passes",
-    "out f32[h,stride] spectrum, f32[half,2] turns, f32[knots,4] twists, f32[rows,w] pivots, i64[h] splits, f32[w] end, "
-    "out f32[n] work",
+    "out f32[h,stride] spectrum, f32[h,w,2]? gradients, f32[half,2] turns, f32[knots,4] twists, f32[rows,w] pivots, "
+    "i64[h] splits, f32[w] end, out f32[n] work, f32 scale_x, f32 scale_y",
 )
 _cosine_filter = Kernel(
     "cosine_filter",
@@ -79,23 +86,21 @@ class DctSolver:
             with self._pool.one() as padded:
                 self._solve(frame, padded)
                 depth = padded[:, :width].copy()
-        return Solution(depth, constant_map(self.shape, True))
+        return Solution(check_depth(depth), constant_map(self.shape, True))
 
-    def _solve(self, frame: Map, work: Floats) -> None:
-        """Depth of a frame, in the first columns of a work array (H, stride)."""
-        self._write_right_side(frame, work)
-        elimination = self._pivots, self._splits, self._last
+    def _solve(self, frame: Map | None, work: Floats) -> None:
+        """Depth of a frame, or of a right side in place, in the first columns of a work array (H, stride)."""
+        hx, hy = self.mm_per_px
+        scales, elimination = (0.5 * hy * hy / hx, 0.5 * hy), (self._pivots, self._splits, self._last)
         if self._transform.turns is not None:
             with self._transform.work.one() as scratch:
-                _passes(work, *self._transform.turns, *elimination, scratch)
+                _passes(work, frame, *self._transform.turns, *elimination, scratch, *scales)
             return
+        if frame is not None:
+            _right_side(frame, work, *scales)
         self._transform(work, 0)
         _sweep(work, *elimination)
         self._transform(work, 1)
-
-    def _write_right_side(self, frame: Map, work: Floats) -> None:
-        hx, hy = self.mm_per_px
-        _right_side(frame, work, 0.5 * hy * hy / hx, 0.5 * hy)
 
 
 class Dct4Solver(DctSolver):
@@ -104,9 +109,11 @@ class Dct4Solver(DctSolver):
     It is exact on quartics and suits fine texture with slope noise under 0.02.
     """
 
-    def _write_right_side(self, frame: Map, work: Floats) -> None:
+    def _solve(self, frame: Map | None, work: Floats) -> None:
+        assert frame is not None
         right = divergence(edges_from_gradients(frame, order=4), self.mm_per_px)
         work[:, : self.shape[1]] = right * np.float32(self.mm_per_px[1] * self.mm_per_px[1])
+        super()._solve(None, work)
 
 
 class CosineRows:

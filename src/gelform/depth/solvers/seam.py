@@ -16,8 +16,9 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from gelform._native import Kernel
+from gelform._native import Kernel, is_finite
 from gelform.arrays import Array, Map, Mask, Slopes
+from gelform.errors import ConvergenceError
 from gelform.foundations.filters import fill_unknown
 
 Pair = tuple[Array, Array]  # maps of the edges along x, (H, W-1), and along y, (H-1, W)
@@ -34,7 +35,7 @@ class Solution(NamedTuple):
 
 
 class Solver(Protocol):
-    """A method, prepared for frames of one shape; threads can share it.
+    """A method, prepared for frames of one shape; threads can share it. Its depth is finite, or it raises ConvergenceError.
 
     One that does not take weights, mask and anchor treats all slopes alike, and refuses them with a ValueError.
     """
@@ -50,6 +51,16 @@ class Solver(Protocol):
     ) -> Solution:
         """Depth of one frame of slopes (H, W, 2); weights (H, W) or per edge ((H, W-1), (H-1, W))."""
         ...
+
+
+def check_depth(depth: Map) -> Map:
+    """The depth; ConvergenceError: it is not finite."""
+    if not is_finite(depth):
+        raise ConvergenceError(
+            "Expected finite depth, got infinity or NaN. Slopes, weights, anchor or mm_per_px differ by more than float32 "
+            "holds: check their scales."
+        )
+    return depth
 
 
 _residual_squares = Kernel(

@@ -20,7 +20,14 @@ import scipy  # its parts load at first use; a weighted solve needs none of them
 
 from gelform._native import Handle, Kernel
 from gelform.arrays import Array, Map, Mask, Numbers
-from gelform.depth.solvers.seam import LinearSystem, Solution, Weights, edge_system, problem_from_gradients
+from gelform.depth.solvers.seam import (
+    LinearSystem,
+    Solution,
+    Weights,
+    check_depth,
+    edge_system,
+    problem_from_gradients,
+)
 from gelform.errors import ConvergenceError
 from gelform.foundations.pool import Pool
 from gelform.slopes.gradients import slopes_of_solution
@@ -51,7 +58,7 @@ class SparseSolver:
         if free.any():
             # Definite: each island has an anchor or a pixel that is held.
             depth[free] = scipy.sparse.linalg.spsolve(matrix[free][:, free].tocsc(), right[free])
-        return Solution(depth.reshape(self.shape).astype(np.float32), problem.known, 0, 0.0)
+        return Solution(check_depth(depth.reshape(self.shape).astype(np.float32)), problem.known)
 
 
 def normal_equations(
@@ -79,7 +86,6 @@ _load_edges = Kernel(
     "multigrid_load_edges",
     "multigrid* grid, f32[h,edges] east, f32[rows,w] south, f32[h,w] anchor, f32[h,w] right",
 )
-_build = Kernel("multigrid_build", "multigrid* grid")
 _solve = Kernel(
     "multigrid_solve",
     "multigrid* grid, f32[h,w]? start, out f32[h,w] depth, f64 whole, f64 tolerance, i32 limit, out f64[2] report",
@@ -112,14 +118,12 @@ class Grid:
             self.load_edges(*edge_system(problem, mm_per_px), problem.anchor)
             return
         x_mm, y_mm = mm_per_px
-        if _load(self.handle, problem.gradients, problem.confidence, problem.anchor, hx=x_mm, hy=y_mm):
-            _build(self.handle)
+        _load(self.handle, problem.gradients, problem.confidence, problem.anchor, hx=x_mm, hy=y_mm)
 
     def load_edges(self, east: Array, south: Array, right: Array, anchor: Array) -> None:
         """Load couplings (H, W-1) and (H-1, W), right side and anchor (H, W), and compute the coarse levels."""
         system = east, south, anchor, right
         _load_edges(self.handle, *(np.ascontiguousarray(array, dtype=np.float32) for array in system))
-        _build(self.handle)
 
     def solve(
         self, tolerance: float, max_iterations: int, start: Map | None = None, whole: float = 0.0
