@@ -16,6 +16,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
 from pathlib import Path
@@ -48,13 +49,15 @@ TAGS = {  # of wheels for other platforms, by zig's name of the target
 }
 
 
-def compile_kernels(folder: Path = ROOT / "src/gelform/_native") -> list[Path]:
+def compile_kernels(
+    folder: Path = ROOT / "src/gelform/_native", native: Path = ROOT / "native", isas: Iterable[str] = ()
+) -> list[Path]:
     """Compile every file of native/ into one library for each instruction set, side by side; their paths."""
     target = os.environ.get("GELFORM_TARGET", "")
     machine, system = (target or f"{platform.machine()}-{sys.platform}").lower().split("-")[:2]
     suffix = ".dll" if system.startswith("win") else ".so"
-    sources = sorted(str(path) for path in (ROOT / "native").rglob("*.c"))
-    isas = list(FLAGS_OF) if machine in ("x86_64", "amd64") else ["base"]
+    sources = sorted(str(path) for path in native.rglob("*.c"))
+    isas = list(isas) or (list(FLAGS_OF) if machine in ("x86_64", "amd64") else ["base"])
     built = [folder / f"kernels_{isa}{suffix}" for isa in isas]
     count = runpy.run_path(str(ROOT / "src/gelform/_native/sources.py"))
     of_sources, of_version = (

@@ -75,25 +75,13 @@ def _use_changed_library(number: Number, factor: float, folder: Path) -> None:
     sys.path.insert(0, str(ROOT))
     import hatch_build
 
-    from gelform._native import instruction_set, kernel, sources
+    from gelform._native import instruction_set, kernel
 
-    isa, own = instruction_set(), folder / Path(number.path).name
-    root = ROOT / "native"
-    if number.path.endswith(".h"):
-        root, own = shutil.copytree(root, folder / "native"), folder / number.path
-    own.write_text(changed_c(number, factor), encoding="utf-8")
-    files = [
-        own if str(path.relative_to(root.parent)) == number.path else path
-        for path in sorted(root.rglob("*.c"))
-    ]
-    digests = sources.digest_of_sources(ROOT / "native"), sources.digest_of_version(hatch_build.version())
-    defined = [f"-D{name}_DIGEST={digest}u" for name, digest in zip(("SOURCES", "VERSION"), digests)]
-    flags = [*hatch_build.FLAGS.split(), *hatch_build.FLAGS_OF[isa].split(), *defined]
-    beside = ["-iquote", str((ROOT / number.path).parent)]
-    made, base = (f"kernels_{one}{kernel._SUFFIX}" for one in (isa, "base"))
-    hatch_build.run([*hatch_build.compiler(""), *flags, *beside, "-o", made, *map(str, files)], folder)
-    if base != made:
-        (folder / base).symlink_to(kernel._FOLDER / base)
+    native, own = shutil.copytree(ROOT / "native", folder / "native"), kernel._FOLDER
+    (folder / number.path).write_text(changed_c(number, factor), encoding="utf-8")
+    made = hatch_build.compile_kernels(folder, native, [instruction_set()])
+    for library in set(own.glob("kernels_base*")) - {own / one.name for one in made}:
+        (folder / library.name).symlink_to(library)
     kernel._FOLDER = folder
     kernel.library.cache_clear()
 
