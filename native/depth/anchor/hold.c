@@ -101,9 +101,9 @@ static bool spread_over_chosen(const float *coarse, const bool *chosen, float *w
 // Both: the anchor at every pixel, from maps of the cells. 1 if it holds a pixel, 0 if none.
 EXPORT int rest_anchor(const float *depth, const float *share, const float *far, const bool *at_rest, float *work, float *anchor,
                        float hold, float least, float face, ptrdiff_t r, ptrdiff_t k, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n) {
-  const ptrdiff_t size = r * k;
-  float *weight = work, *rest = work + size;
-  if (n < size + 4 * w) return WRONG_SIZE;
-  const int status = rest_hold(depth, share, far, rest, weight, hold, least, face, r, k, n - size);
-  return status != OK ? status : spread_over_chosen(weight, at_rest, rest, anchor, r, k, h, w);
+  const ptrdiff_t left = n - r * k;
+  float *weight = work + left;
+  if (left < 4 * w) return WRONG_SIZE;
+  const int status = rest_hold(depth, share, far, work, weight, hold, least, face, r, k, left);
+  return status != OK ? status : spread_over_chosen(weight, at_rest, work, anchor, r, k, h, w);
 }
