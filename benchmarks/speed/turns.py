@@ -122,6 +122,15 @@ def main() -> None:
             os.replace(made, file)
         calibration = gelform.load_calibration(file)
         own = whole_frames(calibration, image, Images(press.image for press in in_order[:IMAGES]))
+        if "mini" in Path(folder).name:
+            starter = gelform.calibration_from_background(presses.background, "gelsight-mini")
+            own["everything by a starter"] = timed(
+                partial(
+                    lambda r, image: read([r.from_image(image)], EVERYTHING),
+                    gelform.Reconstructor(starter),
+                    image,
+                )
+            )
         own["first of a process"] = partial(first_frame_ms, file, shown)
         try:
             parts = runpy.run_path(f"{version}/benchmarks/speed.py")["stages"](calibration, image)
