@@ -102,7 +102,7 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         "budget of slopes, confidence": (today, "budget"),
         "errors of depth": (fixed, "depth_sigma"),
         "sigma of depth": (DepthErrors, "sigma"),
-        "contact": (PreparedContact, "__call__"),
+        "contact": (PreparedContact, "_contact"),
         "color around the contact": (today, "surround"),
     }
     calls: dict[str, Callable[[], Any]] = {}

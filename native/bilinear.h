@@ -12,6 +12,16 @@ static inline ptrdiff_t between(ptrdiff_t at, double step, ptrdiff_t from, float
   return first;
 }
 
+// A map (r, c) at one of h x w small pixels.
+static inline double at_pixel(const float *map, ptrdiff_t y, ptrdiff_t x, ptrdiff_t r, ptrdiff_t c, ptrdiff_t h, ptrdiff_t w) {
+  float down, along;
+  const ptrdiff_t row = between(y, (double)r / (double)h, r, &down), column = between(x, (double)c / (double)w, c, &along);
+  const float *upper = map + row * c + column, *lower = upper + (r > 1 ? c : 0);
+  const ptrdiff_t next = c > 1;
+  const double above = upper[0] + along * (upper[next] - upper[0]), below = lower[0] + along * (lower[next] - lower[0]);
+  return above + down * (below - above);
+}
+
 // For each of n small pixels in a row of `from` large ones.
 static inline void places_in_row(ptrdiff_t n, double step, ptrdiff_t from, int32_t *first, float *fraction) {
   for (ptrdiff_t j = 0; j < n; j++) first[j] = (int32_t)between(j, step, from, fraction + j);

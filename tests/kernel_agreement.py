@@ -157,6 +157,17 @@ def pressed(s):
     return {**sizes, "n": 5 * size + -(-size // 4) + most}
 
 
+def contacts(s):
+    """Three maps and labels beside the work of regions."""
+    sizes = pressed(s)
+    return {**sizes, "n": sizes["n"] + 3 * s["h"] * s["w"] + half(s["h"] * s["w"])}
+
+
+def over_rest(s):
+    cells = s["r"] * s["c"]
+    return {"n": 5 * s["r"] * half(s["c"]) + 2 * cells + -(-cells // 4)}
+
+
 def cosines(s):
     n = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 15, 18, 20, 21][s["half"] % 16]
     return {"half": n, "stride": 2 * n + s["stride"] % 3, "knots": n + 1, "n": (6 * n + 1) * LANES}
@@ -172,16 +183,23 @@ def filtered_modes(s):
 # Sizes that are not free, and numbers that are tied to them.
 SIZES = {
     "ball_surface": lambda s: {"points": s["points"] + 1}, "gray_levels": lambda s: {"points": s["points"] + 1},
+    "color_around": lambda s: {"n": (2 + 3 * s["r"]) * s["c"]},
     "bent_surface": bent, "cell_means": cells, "coarser_known": coarser, "fill_from_coarser": coarser,
     "cells_over_rest": lambda s: {"n": max(4 * (s["w"] + s["k"]), 3 * s["r"] * s["k"])},
     "color_change": blurred, "hierarchical_from_image": blurred_at_nodes,
     "hierarchical_gradients": nodes, "forward_step": nodes,
     "column_jumps": lambda s: {"w": (w := s["w"] + 8), "n": 3 * (w - 1) + 2 * ((w - 1) // 8)},
-    "contact_outline": window(2, 2), "pressure_means": window(5, 6),
+    "contact_mask": contacts, "contact_outline": window(2, 2),
+    "contact_moments": lambda s: {"m": half(s["h"]) * half(s["w"]), "n": 5 * s["h"] * half(s["w"])},
+    "over_rest": over_rest, "depth_variances": over_rest,
+    "regions_that_stand": lambda s: {"m": s["n"] + 1},
+    "pressure_means": window(5, 6),
     "cosine_filter": filtered_modes,
     "cosine_rows": cosines, "dct_passes": lambda s: {**(c := cosines(s)), "w": 2 * c["half"], "rows": s["h"]},
     "dct_product": stride, "dct_right_side": stride, "dct_sweep": stride,
-    "depth_errors": lambda s: {"row_ends": s["r"] + 1, "column_ends": s["c"] + 1, "maps": 10, "n": 10 * s["w"]},
+    "depth_errors": lambda s: {
+        "row_ends": s["r"] + 1, "column_ends": s["c"] + 1, "maps": 10, "n": max(10 * s["w"], 2 * s["r"] * s["c"]),
+    },
     "distance_from_touched": touched,
     "fit_light": lambda s: {"m": 14 * s["n"], "rounds": s["rounds"] % 4 + 1},
     "follow_patches": lambda s: {"side": (side := s["pixels"] % 9 + 1), "pixels": side**2},
@@ -252,7 +270,8 @@ VALUES = {
     **dict.fromkeys(["light", "untouched", "blocks", "lit"], GRAY), "levels": real(-20, 280),
     "reach": whole(1, 6), "radius": real(1, 2), "taps": taps,
     "parents": parents, "degrees": whole(0, "c"), "corners": whole(-2, MOST), "triangles": whole(0, "count"),
-    "deepest": inside, "labels": whole(0, "n"), "count": whole(0, "n"), "last": whole(0, "n"), "leds": real(1, 9),
+    "deepest": inside, "regions_that_stand deepest": whole(0, 9),
+    "labels": whole(0, "n"), "count": whole(0, "n"), "last": whole(0, "n"), "leds": real(1, 9),
     **dict.fromkeys(["pairs", "steps", "doublings", "flat"], whole(1, 4)), "back": whole(0, 2), "rounds": whole(1, 5),
     "dark_to": whole(0, 30), "saturated_from": whole(230, 256), "clipped": whole(0, 2), "widened": real(1, 3),
     "depth_errors rows": ends("h"), "depth_errors columns": ends("w"), "png_rows rows": filtered,
@@ -264,12 +283,14 @@ VALUES = {
     "sure_pressure slopes": real(0.05, 1), "pressure_means slopes": real(0.05, 1),
     "slope_budget light": real(0, 1),
     "slope_budget numbers": lambda rng, shape, s: [*rng.uniform(0.05, 1, 20), rng.integers(1, 6)],
-    "pressed_regions depth": lambda *of: 9 * SIGNED(*of) ** 9, "factor": real(0.5, 1), "vertices": real(-1, 40),
+    **dict.fromkeys(["pressed_regions depth", "contact_mask depth"], lambda *of: 9 * SIGNED(*of) ** 9),
+    "factor": real(0.5, 1), "vertices": real(-1, 40),
     **dict.fromkeys(["dct_sweep splits", "dct_passes splits"], whole(1, "w")), "touched_regions least": real(0.5, 6),
     "gray_levels curve": real(0, 300),
 }  # fmt: skip
 EITHER = {
     "color_change": {"image", "light"},
+    "color_around": {"pixels", "levels"},
     "hierarchical_from_image": {"image", "light"},
 }  # one of them is None
 

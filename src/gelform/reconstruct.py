@@ -152,6 +152,7 @@ class FrameRecord:
     slopes: ReadSlopes
     solution: Integration
     depth_mm: Map  # (H, W), within the limit
+    range_mm: tuple[float, float]  # its smallest and largest value
     known: Mask
     findings: tuple[Finding, ...]  # those that are known with the depth
     albedo: Callable[[], Map] | None  # (H, W), if the color model gives it
@@ -199,44 +200,47 @@ class FrameRecord:
         errors, lost = self.depth_errors, self.seen.faults.lost
         return None if errors is None else errors.sigma(self.fixed.limit.ignorance_mm, purpose, lost)
 
-    @once
+    @property
     def contact(self) -> Mask:
         """Where something touches (H, W)."""
-        depth, sigma, deviations, known = self.touch
-        errors, most_mm = self.depth_errors, self.fixed.limit.ignorance_mm
-        deepest = None if errors is None else partial(errors.deepest_sigma, most_mm)
-        return self.today.contact(depth, sigma, deviations, known, self._sigma("outline"), deepest)
+        return self.touch[0]
 
     @once
-    def touch(self) -> tuple[Map, Any, SlopeDeviations | None, Mask]:
-        """What contacts are judged by."""
-        return self._touch("contact")
+    def touch(self) -> tuple[Mask, Map | None]:
+        """The contact, and the depth's deviation (H, W) by which it stands, mm."""
+        errors, depth, contact = self.depth_errors, self.depth_mm, self.today.contact
+        by_slopes = self.deviations
+        if errors is None:
+            return contact(depth, None, by_slopes, self.known), None
+        how = self.fixed.limit.ignorance_mm, self.seen.faults.lost, by_slopes, self.known
+        return contact.judged(depth, errors.of_contacts, *how)
 
-    def _touch(self, purpose: Purpose) -> tuple[Map, Any, SlopeDeviations | None, Mask]:
-        """Depth, its deviation for a purpose, those of the slopes, and known pixels (H, W)."""
-        deviations = None
-        if self.fixed.known is not None:
-            deviations = SlopeDeviations(self.budget.read, self.budget.solved, self.slopes.at_rest)
-        return self.depth_mm, self._sigma(purpose), deviations, self.known
+    @property
+    def deviations(self) -> SlopeDeviations | None:
+        """Those of the slopes, if they are known."""
+        if self.fixed.known is None:
+            return None
+        return SlopeDeviations(self.budget.read, self.budget.solved, self.slopes.at_rest)
 
     @once
     def health(self) -> tuple[Finding, ...]:
         """All findings."""
+        (contact, sigma), depth, known = self.touch, self.depth_mm, self.known
         is_touched = partial(touch_in, self.seen.image, self.today.untouched_image.background)
-        maps = self.contact, self.depth_mm, self.touch[1], self.slopes.at_rest, self.known
+        maps = contact, depth, sigma, self.slopes.at_rest, known
         unknown = unknown_contact(*maps, is_touched, self.seen.hidden, self.fixed.pitch)
         of_depth: tuple[Finding, ...] = ()
         if self.depth_errors is not None:
-            of_depth = steep_finding(self.depth_mm, self.contact, self.budget.steep, self.depth_errors)
-            low, high = value_range(self.depth_mm)
-            if -low > high:
-                touched = bool(self.contact.any())
-                of_depth += self.today.contact.pressed_background(*self._touch("valley"), touched=touched)
+            of_depth = steep_finding(depth, contact, self.budget.steep, self.depth_errors)
+            if -self.range_mm[0] > self.range_mm[1]:
+                judged, touched = self.today.contact.pressed_background, bool(contact.any())
+                of_depth += judged(depth, self._sigma("valley"), self.deviations, known, touched=touched)
             if not any(one.name == "background_pressed" for one in of_depth):
-                of_depth += off_rest(self.depth_mm, self.depth_sigma_mm, self.contact, self.known, unknown)
+                of_known = self.range_mm if known.all() else value_range(depth * known)
+                of_depth += off_rest(depth, of_known, self.depth_sigma_mm, contact, known, unknown)
         elif self.fixed.known is None:
             slopes = self.slopes.gradients, self.gradients
-            of_depth = contradicted_slopes(*slopes, self.depth_mm, self.contact)
+            of_depth = contradicted_slopes(*slopes, depth, contact)
         return *self.findings, *of_depth, *unknown
 
     @property
@@ -434,11 +438,11 @@ class Reconstructor:
             if today.albedo_from_color is not None:
                 albedo = partial(today.albedo_from_color, change.copy())
         solution = fixed.depth(slopes)
-        depth_mm, too_deep = fixed.limit.bound(solution.depth_mm)
+        depth_mm, range_mm, too_deep = fixed.limit.bound(solution.depth_mm)
         lost = seen.faults.lost
         known = solution.known if lost is None else solution.known & ~lost
         findings = (*self.findings, *seen.findings, *at_bias, *too_deep)
-        return FrameRecord(fixed, today, seen, slopes, solution, depth_mm, known, findings, albedo)
+        return FrameRecord(fixed, today, seen, slopes, solution, depth_mm, range_mm, known, findings, albedo)
 
     def _seen(self, raw: Array, flow: MarkerFlow | None) -> SeenImage:
         """An image with its faults, markers, light and unusable channels."""
@@ -482,10 +486,11 @@ class Reconstructor:
         shape_errors = later["shape_errors"]
         later["depth_sigma_mm"] = once(lambda: shape_errors() and record.depth_sigma_mm, lock)
         own = record.depth_mm.copy()  # the caller's to write to; the record's stays
-        slopes.gradients.flags.writeable = False
+        read = slopes.gradients.view()
+        read.flags.writeable = False
         return Reconstruction(
             depth=own if calibration.mm_per_px else own / np.float32(record.fixed.pitch),
-            observed_gradients=slopes.gradients,
+            observed_gradients=read,
             known=record.known,
             mm_per_px=calibration.mm_per_px,
             mm_per_px_sigma=calibration.mm_per_px_sigma,

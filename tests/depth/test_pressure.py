@@ -8,10 +8,20 @@ from scipy.special import k0
 
 import gelform
 from gelform._native import Kernel
-from gelform.depth import contact as pressure_module
-from gelform.depth.contact import PreparedContact, SlopeDeviations, contact_from_depth, runs_work
-from kernel_agreement import assert_kernel_agrees, drawn
+from gelform.depth.contact import PreparedContact, SlopeDeviations, _gains, contact_from_depth, runs_work
+from kernel_agreement import assert_kernel_agrees, declarations, drawn
 
+PRESSED_REGIONS = Kernel(
+    "pressed_regions",
+    "f32[h,w] depth, f32[h,w] sigma, f32[h,w] noise, f32[h,w]? read, f32[h,w]? solved, bool[h,w]? at_rest, "
+    "bool[h,w]? known, f32[t] taps, f64[4]? gains, out f32[h,w] smooth, out f32[h,w] bent, out f32[h,w] evidence, "
+    "out u16[h,w] labels, out f32[n] work, f32 along_x, f32 along_y, f32 stiffness, f32 factor, f32 reach, i64 margin, "
+    "i64 step",
+)
+STANDING_REGIONS = Kernel(
+    "standing_regions",
+    "u16[h,w] labels, bool[n] stands, i32[n,2] deepest, f32[h,w] surface, out bool[h,w] contact, i64 reach",
+)
 # The steps of `pressed_regions`, each by itself.
 BENT_SURFACE = Kernel(
     "bent_surface",
@@ -37,6 +47,9 @@ SURE_PRESSURE = Kernel(
     "bool[...]? at_rest, bool[...]? known, out f32[...] sure, out f32[...] evidence, "
     "f32 stiffness, f32 factor, f32 mean_gain_at_rest, "
     "f32 mean_gain_elsewhere, f32 gain_at_rest, f32 gain_elsewhere",
+)
+REGION_EVIDENCE, VARIANCE_BELOW, REGIONS_THAT_STAND = (
+    declarations()[name][1] for name in ("region_evidence", "variance_below", "regions_that_stand")
 )
 CONTACT_OUTLINE = Kernel(
     "contact_outline", "f32[h,w] pressure, out bool[h,w] contact, out f32[n] work, f32 share"
@@ -409,11 +422,12 @@ def test_the_regions_are_those_of_the_steps_by_themselves(knows, shape):
     smooth, bent, evidence, sure, variance = (np.zeros(shape, np.float32) for _ in range(5))
     labels, work = np.zeros(shape, np.uint16), np.empty(sensor._work_size, np.float32)
     of_slopes = (read, 2 * read, at_rest) if knows else (None, None, None)
-    count = pressure_module._pressed_regions(
+    numbers = {p.name: sensor._numbers[p.name] for p in PRESSED_REGIONS.parameters[14:]}
+    count = PRESSED_REGIONS(
         depth, sigma, sensor._noise, *of_slopes, known, sensor._taps, sensor._gains, smooth, bent, evidence, labels, work,
-        *sensor._numbers, sensor._step,
+        **numbers,
     )  # fmt: skip
-    stiffness, factor, reach = sensor._numbers[2:5]
+    stiffness, factor, reach = (numbers[name] for name in ("stiffness", "factor", "reach"))
     if knows:
         SLOPE_VARIANCE(*of_slopes, variance)
     else:
@@ -424,8 +438,8 @@ def test_the_regions_are_those_of_the_steps_by_themselves(knows, shape):
     )
     gains = []
     for k, values in ((0, mean_bent), (2, bent)):
-        found, numbers = np.empty(1, np.float32), (sensor._step, 0.95 if knows else 0.3)
-        MAGNITUDE_OF_SHARE(values, sensor._noise, at_rest if knows else None, work, found, *numbers)
+        found, how = np.empty(1, np.float32), (numbers["step"], 0.95 if knows else 0.3)
+        MAGNITUDE_OF_SHARE(values, sensor._noise, at_rest if knows else None, work, found, *how)
         if knows:
             gains += [max(sensor._gains[k], (float(found[0]) / 1.96) ** 2), sensor._gains[k + 1]]
         else:
@@ -457,6 +471,50 @@ def test_the_regions_are_those_of_the_steps_by_themselves(knows, shape):
     assert (closed & ~outline).any()
 
 
+@pytest.mark.parametrize("alone", [None, 0.05])
+def test_the_contact_is_that_of_its_steps(alone):
+    """Of three caps of other depths, whose deviations let one, two or three stand."""
+    depth = np.float32(
+        sum(cap(center=(x, 60), depth_mm=d)[0] for x, d in ((60, 0.8), (160, 0.3), (260, 0.1)))
+    )
+    sensor = PreparedContact((PITCH, PITCH), 0.5, np.full(depth.shape, 1e-3, np.float32))
+    smooth, bent, evidence = np.empty((3, *depth.shape), np.float32)
+    labels, work, own = (
+        np.empty(depth.shape, np.uint16),
+        np.empty(sensor._work_size, np.float32),
+        np.float32(0.01),
+    )
+    numbers, found = sensor._numbers, set()
+    outline = np.full_like(depth, own)
+    count = PRESSED_REGIONS(
+        depth, outline, sensor._noise, None, None, None, None, sensor._taps, None, smooth, bent, evidence, labels, work,
+        **{p.name: numbers[p.name] for p in PRESSED_REGIONS.parameters[14:]},
+    )  # fmt: skip
+    variance = None if alone is None else np.full((2, 2), alone**2, np.float32)
+    for sigma_mm in (0.005, 0.03, 0.1, 0.3):
+        sigma = np.full_like(depth, sigma_mm)
+        measures, excess = np.empty((count, 7)), np.empty(1)
+        stands, deepest = np.empty(count + 1, bool), np.empty((count + 1, 2), np.int32)
+        maps = sigma, evidence, smooth, bent, sensor._influence
+        REGION_EVIDENCE(labels, depth, *maps, measures, numbers["stiffness"], 1, 1)
+        VARIANCE_BELOW(depth, sigma, excess, numbers["step"])
+        how = excess.item(), numbers["least"], numbers["factor"], 9.0
+        REGIONS_THAT_STAND(measures, variance, stands, deepest, *how, *depth.shape)
+        wanted = np.empty(depth.shape, bool)
+        STANDING_REGIONS(labels, stands, deepest, depth, wanted, numbers["join"])
+        if alone is None:
+            contact = sensor._contact(depth, np.stack([sigma, outline]), None, None)
+        else:
+            variances = np.stack(
+                [np.full((2, 2), one, np.float32) for one in (sigma_mm**2, own**2, alone**2)]
+            )
+            contact, stood = sensor.judged(depth, variances, 9.0, None)
+            np.testing.assert_allclose(stood, sigma_mm, rtol=1e-6)
+        np.testing.assert_array_equal(contact, wanted)
+        found.add(int(stands.sum()))
+    assert found == ({0, 1, 2, 3} if alone is None else {1, 2, 3})
+
+
 def test_outlines_agree_with_numpy():
     def by_numpy(pressure, contact, work, share):
         return pressure * around(pressure > 0) > share * around(pressure)
@@ -472,9 +530,7 @@ def test_the_mask_is_that_of_the_regions_that_stand():
         return stands[labels]
 
     flat, contact = np.zeros(labels.shape, np.float32), np.empty(labels.shape, bool)
-    assert_kernel_agrees(
-        pressure_module._standing_regions, by_numpy, labels, stands, deepest, flat, contact, 4
-    )
+    assert_kernel_agrees(STANDING_REGIONS, by_numpy, labels, stands, deepest, flat, contact, 4)
 
 
 @pytest.mark.parametrize(("valley", "stands", "count"), [(0.0, True, 1), (0.5, True, 2), (0.0, False, 1)])
@@ -486,7 +542,7 @@ def test_regions_of_one_hill_are_joined_up_its_slope(valley, stands, count):
     lower = np.unravel_index(np.argmax(np.where(labels == 2, surface, -9)), labels.shape)
     regions = labels.astype(np.uint16), np.array([False, True, stands])
     deepest, contact = np.array([(0, 0), (20, 50), lower], np.int32), np.empty(labels.shape, bool)
-    pressure_module._standing_regions(*regions, deepest, surface.astype(np.float32), contact, 0)
+    STANDING_REGIONS(*regions, deepest, surface.astype(np.float32), contact, 0)
     assert contact[labels == 1].all()
     assert contact[labels == 2].all() == stands
     assert ndimage.label(contact, np.ones((3, 3)))[1] == count
@@ -503,7 +559,7 @@ def test_the_pressure_s_variance_is_that_of_noisy_slopes():
         length = np.sqrt(2) * blur  # the correlation of a blurred white noise falls to exp(-1/2) there
         smoothing = np.hypot(0.7, np.sqrt(80 / 12) if averaged else 0)
         noise = length, 1.0 if blur else 0.0, 0.0, None
-        at_rest, elsewhere = pressure_module._gains((PITCH, PITCH), [smoothing], *noise)
+        at_rest, elsewhere = _gains((PITCH, PITCH), [smoothing], *noise)
         assert at_rest == elsewhere
         depth = gelform.depth_from_gradients(0.01 * slopes.astype(np.float32), mm_per_px=PITCH)
         bent = -ndimage.laplace(ndimage.gaussian_filter(depth, 0.7)) / PITCH**2

@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from gelform._native import Kernel
 from gelform.depth import contact as regions_module
 from gelform.depth.contact import Surround, contacts_from_mask, off_rest, unknown_contact
 from gelform.errors import Finding
+from gelform.foundations.checks import value_range
 from kernel_agreement import assert_kernel_agrees
 
+LABEL_REGIONS = Kernel("label_regions", "bool[h,w] mask, out u16[h,w] labels, out i32[n] work")
 UNEVEN_PITCH = (0.05, 0.08)
 
 
@@ -191,7 +194,8 @@ def test_depth_that_no_contact_makes_is_said():
 
     def found():
         return [
-            (round(one.figure, 2), one.message) for one in off_rest(depth, sigma, contact, known, unknown)
+            (round(one.figure, 2), one.message)
+            for one in off_rest(depth, value_range(depth * known), sigma, contact, known, unknown)
         ]
 
     unknown = ()
@@ -238,14 +242,24 @@ def test_labels_agree_with_scipy():
         order[firsts + 1] = np.arange(1, count + 1)
         return order[labels]
 
-    assert_kernel_agrees(regions_module._label_regions, by_scipy)
+    assert_kernel_agrees(LABEL_REGIONS, by_scipy)
+
+
+def test_labels_and_moments_are_those_of_the_steps():
+    def by_steps(contact, depth, labels, moments, work):
+        moments = moments.copy()
+        regions = moments[: LABEL_REGIONS(contact, labels, work)]
+        regions_module._region_moments(labels, depth, regions)
+        return labels, moments
+
+    assert_kernel_agrees(regions_module._contact_moments, by_steps)
 
 
 def test_more_regions_than_labels_are_told():
     mask = np.zeros((600, 600), bool)
     mask[::2, ::2] = True
     with pytest.raises(ValueError, match="at most 65535 separate contacts, got 90000"):
-        regions_module.labeled(mask)
+        contacts_from_mask(mask, np.zeros(mask.shape), mm_per_px=1.0)
 
 
 def test_a_contact_is_one_short_line():
@@ -304,3 +318,32 @@ def test_none_without_an_inside_or_an_outside_and_small_odd_images():
     contact[10:20, 10:20] = True
     touched = rest + 20 * contact[..., None].astype(np.float32)
     assert ratio(Surround(rest)(touched, contact)) == pytest.approx(0, abs=1e-6)
+
+
+def test_color_changes_agree_with_numpy():
+    """Pixels between which an image is sampled, in single precision: 8-bit levels are rounded."""
+
+    def places(small, large):
+        at = (np.arange(small) + 0.5) * (large / small) - 0.5
+        first = np.clip(at.astype(int), 0, max(large - 2, 0))
+        return first, np.minimum(first + 1, large - 1), np.clip(at - first, 0, 1).astype(np.float32)
+
+    def by_numpy(pixels, levels, contact, gain, rest, coarse, work, changes):
+        image = (levels if pixels is None else pixels).astype(np.float32)
+        (rows, columns), (h, w) = gain.shape[:2], contact.shape
+        (up, low, down), (left, right, along) = places(rows, h), places(columns, w)
+        down, along = down[:, None, None], along[:, None]
+        above, below = (
+            image[at][:, left] + along * (image[at][:, right] - image[at][:, left]) for at in (up, low)
+        )
+        found = above + down * (below - above)
+        found = found if pixels is None else np.floor(found + np.float32(0.5))
+        inside = contact[np.arange(rows) * h // rows][:, np.arange(columns) * w // columns]
+        outside = ~ndimage.binary_dilation(inside, np.ones((3, 3)))
+        change = np.sqrt(np.square(found.astype(float) * gain - rest).mean(-1))
+        around = np.sort(change[outside])
+        return found, np.array(
+            [around[len(around) // 2] if len(around) else 0, change[inside].mean() if inside.any() else 0]
+        )
+
+    assert_kernel_agrees(regions_module._color_around, by_numpy)

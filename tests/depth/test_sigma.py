@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import scipy.fft
+from scipy import ndimage
 from scipy.special import k1
 
 from gelform.depth import coarse as coarse_module
@@ -101,7 +102,8 @@ def test_the_squared_factor_makes_a_squared_error_the_variance(own):
     unit = np.maximum(found.spread, 1e-6)
     own = np.full_like(unit, own)
     factor = squared_factor(np.full_like(unit, square), own, unit)
-    local = replace(found, spread=factor * unit, own=own).local_variance
+    filtered = np.stack([factor * unit, unit, own, np.ones_like(unit)])
+    local = replace(found, filtered=filtered, border=np.ones_like(unit)).coarse_variance
     if PULL * own[0, 0] > square:
         assert (factor == 0).all()
     else:
@@ -116,15 +118,16 @@ def test_negative_depth_is_an_error_of_the_frame():
     assert 0.02 < low[60, 80] < 0.1
     assert low[5, 5] < 1e-3
     assert errors_of(bump(-0.1), factor=1e-3, known=~ALL).sigma(9.0).max() < 1e-3, "filled in"
-    np.testing.assert_allclose(valley.local_variance[60, 80], PULL * valley.own[15, 20], rtol=0.05)
+    np.testing.assert_allclose(valley.coarse_variance[15, 20], PULL * valley.own[15, 20], rtol=0.05)
 
 
 def test_a_valley_makes_the_deepest_contact_no_less_certain():
     """Noise of 10 um, and a border that sinks by 1 mm: twice the mean of its squares is no error of a hill far from it."""
     noise = np.kron(np.random.default_rng(0).normal(0, 0.01, (30, 40)), np.ones((4, 4)))
     found = errors_of(noise + bump(1.0) + bump(-1.0, (20, 4)), factor=1e-3)
-    assert found.deepest_sigma(9.0, (60, 80)) == pytest.approx((PULL * 0.01**2) ** 0.5, rel=0.3)
-    assert found.sigma(9.0, "outline")[60, 80] == pytest.approx((PULL * 0.01**2) ** 0.5, rel=0.3)
+    alone = found.coarse.at_pixel(found.of_contacts[2], (60, 80))
+    for own in (alone**0.5, found.sigma(9.0, "outline")[60, 80]):
+        assert own == pytest.approx((PULL * 0.01**2) ** 0.5, rel=0.3)
     assert found.sigma(9.0, "contact")[60, 80] > 0.05
 
 
@@ -208,8 +211,8 @@ def test_a_grid_of_any_size(shape):
 
 
 def numpy_errors(
-    slopes, depth, at_rest, known, read, steep, rows, columns, work, cells, full, spill, rest_share, of_contact, gain,
-    doubted,
+    slopes, depth, at_rest, known, read, steep, rows, columns, work, cells, own, full, spill, rest_share, of_contact, gain,
+    doubted, least, per_median,
 ):  # fmt: skip
     """What the kernel should give, in float64."""
     g = slopes.astype(float)
@@ -226,11 +229,43 @@ def numpy_errors(
         *np.moveaxis(alone, -1, 0), at_rest,
     ]  # fmt: skip
     cells = [[[one[a:b, c:d] for c, d in pairwise(columns)] for a, b in pairwise(rows)] for one in maps]
-    return np.array([[[cell.sum() / max(cell.size, 1) for cell in row] for row in one] for one in cells])
+    cells = np.array([[[cell.sum() / max(cell.size, 1) for cell in row] for row in one] for one in cells])
+    below, own = cells[2], cells[2].mean() / max(cells[3].mean(), least)
+    usual = np.median(below[below > 0]) if below.any() else 0.0
+    return cells, np.array([own, min(per_median * usual, own)])
 
 
 def test_the_kernel_agrees_with_numpy():
     assert_kernel_agrees(sigma._depth_errors, numpy_errors)
+
+
+def test_a_map_over_its_largest_part_at_rest_agrees_with_scipy():
+    """Of parts of one size the first; parts that touch at corners are two."""
+
+    def by_scipy(values, at_rest, work, share):
+        labels, count = ndimage.label(at_rest > np.float32(share))
+        if not count:
+            return values
+        largest = labels == 1 + np.argmax(np.bincount(labels.ravel())[1:])
+        return np.where(largest, 0, values - np.median(values[largest]))
+
+    assert_kernel_agrees(sigma._over_rest, by_scipy)
+
+    def variances(
+        common, at_rest, filtered, border, work, share, _, of_frame, usual, pull, least_free, least
+    ):
+        common = by_scipy(common, at_rest, work, share)
+        spread, of_contact = np.maximum(filtered[:2].astype(float) * border, least)
+        own = filtered[2] / np.maximum(filtered[3], least_free)
+        of_slopes = np.stack([spread, spread, of_contact, 0 * spread, of_contact])
+        negative = np.stack(
+            [own, own, np.maximum(own, of_frame), np.maximum(own, usual), np.full_like(own, usual)]
+        )
+        found = of_slopes + pull * np.maximum(negative - of_slopes, 0)
+        found[1] += common.astype(float) ** 2
+        return common, np.stack([spread, own, *found])
+
+    assert_kernel_agrees(sigma._depth_variances, variances)
 
 
 def test_a_variance_on_the_grid_is_a_deviation_at_every_pixel():

@@ -207,12 +207,13 @@ def test_depth_is_bounded_by_the_gels_thickness_or_else_the_field_of_view():
     anything = np.random.default_rng(0).uniform(0, 6.0, 100_000)
     assert DepthLimit(6.0, True).ignorance_mm == pytest.approx(anything.std(), rel=0.01)
     limit = DepthLimit.of((240, 320), 0.05, thickness_mm=3.5)
-    bounded, (finding,) = limit.bound(np.array([[1.0, 4.0], [-9.0, 0.0]], dtype=np.float32))
+    bounded, of_bounded, (finding,) = limit.bound(np.array([[1.0, 4.0], [-9.0, 0.0]], dtype=np.float32))
     np.testing.assert_array_equal(bounded, [[1.0, 3.5], [-3.5, 0.0]])
+    assert of_bounded == (-3.5, 3.5)
     assert (finding.name, finding.figure) == ("beyond_gel", 9.0)
     assert "thickness of the gel (3.5 mm)" in finding.message
     within = np.array([[0.0, 3.0]], dtype=np.float32)
-    assert limit.bound(within) == (within, ())
+    assert limit.bound(within) == (within, (0.0, 3.0), ())
 
 
 PRIME = np.uint64(0x9E3779B97F4A7C15)

@@ -1,5 +1,6 @@
-// Moments of labeled regions, which area, centroid, axes, volume and deepest point follow from; and what speaks for a contact.
-#include "../../common.h"
+// Moments of labeled regions, which area, centroid, axes, volume and deepest point follow from; and which regions a contact consists of.
+#include "../../bilinear.h"
+#include "steps.h"
 
 enum { COUNT, SUM_X, SUM_Y, SUM_XX, SUM_XY, SUM_YY, SUM_Z, MAX_Z, X_OF_MAX, Y_OF_MAX, MIN_X, MAX_X, MIN_Y, MAX_Y, FIGURES };
 
@@ -57,6 +58,15 @@ EXPORT int region_moments(const uint16_t *labels, const float *depth, double *mo
   return OK;
 }
 
+// The regions of a contact, their labels as of `label_regions` and their moments; how many.
+EXPORT int contact_moments(const bool *contact, const float *depth, uint16_t *labels, double *moments, int32_t *work, ptrdiff_t h,
+                           ptrdiff_t w, ptrdiff_t m, ptrdiff_t n) {
+  const int regions = label_regions(contact, labels, work, h, w, n);
+  if (regions < 0 || regions > UINT16_MAX) return regions;
+  const int status = regions > m ? WRONG_SIZE : region_moments(labels, depth, moments, h, w, regions);
+  return status == OK ? regions : status;
+}
+
 enum { AREA, DEPTH, X, Y, DEVIATION, EVIDENCE, OWN, MEASURES };
 
 struct maps {
@@ -102,6 +112,34 @@ EXPORT int region_evidence(const uint16_t *labels, const float *depth, const flo
         (own ? take_own_depth : take_evidence)(measures + (row[x] - 1) * MEASURES, &m, x, end, y, y * w);
       }
     }
+  return OK;
+}
+
+// The less of a region's deepest depth and of that which its own pressure makes there.
+static inline double depth_of(const double *of) { return of[OWN] < of[DEPTH] ? of[OWN] : of[DEPTH]; }
+
+// Whether each label 0 ... n is that of a region which stands, and its deepest pixel (y, x): of `least` pixels, and with more
+// than `factor` deviations of pressure and of depth. A depth is over the gel around, which is off by as much, so the variance of the
+// difference is twice its own; `excess` comes on top. `alone`: variance (r, c) of the deepest region, whose root is `most` at most; NULL:
+// that of `measures`.
+EXPORT int regions_that_stand(const double *measures, const float *alone, bool *stands, int32_t *deepest, double excess, double least,
+                              float factor, float most, int64_t height, int64_t width, ptrdiff_t n, ptrdiff_t r, ptrdiff_t c,
+                              ptrdiff_t m) {
+  if (m != n + 1) return WRONG_SIZE;
+  ptrdiff_t first = 0;
+  for (ptrdiff_t k = 1; k < n; k++) first = depth_of(measures + k * MEASURES) > depth_of(measures + first * MEASURES) ? k : first;
+  stands[0] = false, deepest[0] = deepest[1] = 0;
+  for (ptrdiff_t k = 0; k < n; k++) {
+    const double *of = measures + k * MEASURES;
+    double variance = of[DEVIATION] * of[DEVIATION];
+    if (k == first && alone != NULL) {
+      const double own = at_pixel(alone, (ptrdiff_t)of[Y], (ptrdiff_t)of[X], r, c, height, width), limit = (double)most * most;
+      variance = own < limit ? own : limit;
+    }
+    const double sigma = sqrt(2 * variance + excess), depth = depth_of(of) / (sigma > 1e-9 ? sigma : 1e-9), pressed = sqrt(of[EVIDENCE]);
+    stands[k + 1] = of[AREA] >= least && (depth < pressed ? depth : pressed) > factor;
+    deepest[2 * k + 2] = (int32_t)of[Y], deepest[2 * k + 3] = (int32_t)of[X];
+  }
   return OK;
 }
 
@@ -161,4 +199,37 @@ EXPORT int standing_regions(const uint16_t *labels, const bool *stands, const in
     if (stands[k]) join_uphill(labels, stands, y * w + x, &o, (uint8_t *)contact);
   }
   return OK;
+}
+
+// The contact, of the regions that `pressed_regions` finds and of which some stand; arguments as of the steps. `sigmas`: deviations of
+// the depth, by which regions stand, and outlines are drawn. They are made of the first two `variances`, and the third is that of the deepest
+// region alone; NULL: they are given. How many regions there were; where they are more than have labels, nothing is written.
+EXPORT int contact_mask(const float *depth, const float *variances, const bool *lost, float *sigmas, const float *noise, const float *read,
+                        const float *solved, const bool *at_rest, const bool *known, const float *taps, const double *gains,
+                        const float *influence, bool *contact, float *work, double least, float most, float along_x, float along_y,
+                        float stiffness, float factor, float reach, int64_t margin, int64_t join, int64_t step, ptrdiff_t h, ptrdiff_t w,
+                        ptrdiff_t r, ptrdiff_t c, ptrdiff_t t, ptrdiff_t u, ptrdiff_t n) {
+  const ptrdiff_t count = h * w, left = n - 3 * count - (count + 1) / 2;
+  const float *alone = variances == NULL ? NULL : variances + 2 * r * c;
+  if (left < 0) return WRONG_SIZE;
+  float *smooth = work + left, *bent = smooth + count, *evidence = bent + count;
+  uint16_t *labels = (uint16_t *)(evidence + count);
+  for (ptrdiff_t map = 0; map < 2 && variances != NULL; map++)
+    if (root_at_pixels(variances + map * r * c, lost, work, sigmas + map * count, most, r, c, h, w, left) != OK) return WRONG_SIZE;
+  const int regions = pressed_regions(depth, sigmas + count, noise, read, solved, at_rest, known, taps, gains, smooth, bent, evidence,
+                                      labels, work, along_x, along_y, stiffness, factor, reach, margin, step, h, w, t, left);
+  if (regions < 0 || regions > UINT16_MAX) return regions;
+  // What regions were found with is free for what is measured of them.
+  double *measures = (double *)work, excess;
+  int32_t *deepest = (int32_t *)(measures + MEASURES * regions);
+  bool *stands = (bool *)(deepest + 2 * (regions + 1));
+  if ((char *)(stands + regions + 1) > (char *)(work + left)) return WRONG_SIZE;
+  const float per_x = sqrtf(along_y / along_x);  // squared distance of neighbors, for a pixel of area 1
+  if (region_evidence(labels, depth, sigmas, evidence, smooth, bent, influence, measures, stiffness, per_x, 1 / per_x, h, w, u,
+                      regions) != OK ||
+      variance_below(depth, sigmas, &excess, step, count) != OK ||
+      regions_that_stand(measures, alone, stands, deepest, excess, least, factor, most, h, w, regions, r, c, regions + 1) != OK ||
+      standing_regions(labels, stands, deepest, depth, contact, join, h, w, regions + 1) != OK)
+    return WRONG_SIZE;
+  return regions;
 }

@@ -20,5 +20,12 @@ EXPORT int held_outline(const bool *outline, const bool *closed, const bool *kno
                         const float *bent, bool *contact, int32_t *work, float stiffness, float share, float reach, ptrdiff_t h,
                         ptrdiff_t w, ptrdiff_t n);
 EXPORT int label_regions(const bool *mask, uint16_t *labels, int32_t *work, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n);
+EXPORT int root_at_pixels(const float *variance, const bool *lost, float *work, float *sigma, float most, ptrdiff_t r, ptrdiff_t c,
+                          ptrdiff_t h, ptrdiff_t w, ptrdiff_t n);
+EXPORT int pressed_regions(const float *depth, const float *sigma, const float *noise, const float *read, const float *solved,
+                           const bool *at_rest, const bool *known, const float *taps, const double *gains, float *smooth, float *bent,
+                           float *evidence, uint16_t *labels, float *work, float along_x, float along_y, float stiffness, float factor,
+                           float reach, int64_t margin, int64_t step, ptrdiff_t h, ptrdiff_t w, ptrdiff_t t, ptrdiff_t n);
+EXPORT int variance_below(const float *depth, const float *sigma, double *excess, int64_t step, ptrdiff_t count);
 
 #endif

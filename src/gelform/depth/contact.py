@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import atan2, degrees, hypot, sqrt
 from typing import Any, NamedTuple
 
 import cv2
@@ -28,7 +29,10 @@ from gelform.foundations.pool import once
 from gelform.image.background import CHANGE_OFFSET
 from gelform.image.view import PIXEL_VARIANCE
 
-_label_regions = Kernel("label_regions", "bool[h,w] mask, out u16[h,w] labels, out i32[n] work")
+_contact_moments = Kernel(
+    "contact_moments",
+    "bool[h,w] contact, f32[h,w] depth, out u16[h,w] labels, out f64[m,14] moments, out i32[n] work",
+)
 _touched_regions = Kernel(
     "touched_regions",
     "bool[h,w] contact, bool[h,w] known, bool[h,w] at_rest, bool[h,w]? hidden, f32[h,w] depth, f32[h,w]? sigma, "
@@ -118,10 +122,17 @@ def contacts_from_mask(
         if one.dtype != np.bool_:
             raise TypeError(f"Expected {name} as bool, got {one.dtype}. Convert it: {name} > 0.")
     pitch = None if mm_per_px is None else check_mm_per_px(mm_per_px)
-    count, labels = labeled(mask)
-    moments = np.empty((count, MOMENTS))
-    _region_moments(labels, z, moments)
-    unsure = [False] * count
+    return contacts_of(np.ascontiguousarray(mask), z, pitch, seen)
+
+
+def contacts_of(
+    mask: Mask, z: Map, pitch: tuple[float, float] | None, seen: Mask
+) -> tuple[tuple[Contact, ...], NDArray[np.uint16]]:
+    """`contacts_from_mask` of a depth (H, W) that is float32 and finite, and masks; all in C order."""
+    most = min(mask_regions(mask.shape), MOST_LABELS)
+    labels, moments = np.empty(mask.shape, np.uint16), np.empty((most, MOMENTS))
+    count = _contact_moments(mask, z, labels, moments, np.empty(runs_work(mask.shape), np.int32))
+    moments, unsure = moments[: _checked_count(count)], [False] * count
     if not seen.all():
         of_known = np.empty((count, MOMENTS))
         _region_moments(labels * seen, z, of_known)
@@ -136,14 +147,19 @@ def contacts_from_mask(
 
 
 def off_rest(
-    depth: Map, sigma: Map | None, contact: Mask, known: Mask, unknown: Sequence[Finding] = ()
+    depth: Map,
+    range_mm: tuple[float, float],
+    sigma: Map | None,
+    contact: Mask,
+    known: Mask,
+    unknown: Sequence[Finding] = (),
 ) -> tuple[Finding, ...]:
     """One finding if depth (H, W) is off 0 where no contact (H, W) makes it so: a valley deeper than any contact, or a hill.
 
-    Up to what gel that looks at rest is known to, `REST_SIGMA_MM`, nothing is said. `sigma` (H, W) is the depth's. A hill is
-    that of a touch where `unknown` contacts are found, which tell its height.
+    Up to what gel that looks at rest is known to, `REST_SIGMA_MM`, nothing is said. `range_mm` is that of the known depth,
+    `sigma` (H, W) its deviation. A hill is that of a touch where `unknown` contacts are found, which tell its height.
     """
-    low, high = value_range(depth * known)
+    low, high = range_mm
     hill = 0.0 if contact.any() or unknown else high
     off_mm = max(hill, -low if -low > high else 0.0)
     if off_mm <= REST_SIGMA_MM:
@@ -185,7 +201,9 @@ def unknown_contact(
 
     `is_touched` says whether the image has the structure of a touch: compressed video changes many colors a little.
     """
-    found = _unknown_regions(contact, known, at_rest, hidden, depth, sigma, MIN_AREA_MM2 / pitch**2)
+    found: tuple[Finding, ...] = ()
+    if not known.all():
+        found = _unknown_regions(contact, known, at_rest, hidden, depth, sigma, MIN_AREA_MM2 / pitch**2)
     if contact.any():
         return found
     if not found:
@@ -233,15 +251,8 @@ def _unknown_regions(
     )
 
 
-def labeled(mask: Mask) -> tuple[int, NDArray[np.uint16]]:
-    """The number of connected regions of a mask (H, W), and the map of their labels in the order of their first pixels."""
-    labels = np.empty(mask.shape, dtype=np.uint16)
-    work = np.empty(runs_work(labels.shape), dtype=np.int32)
-    return _checked_count(_label_regions(np.ascontiguousarray(mask), labels, work)), labels
-
-
 def _checked_count(regions: int) -> int:
-    if regions > np.iinfo(np.uint16).max:
+    if regions > MOST_LABELS:
         raise ValueError(f"Expected at most 65535 separate contacts, got {regions}: is this noise?")
     return regions
 
@@ -249,6 +260,11 @@ def _checked_count(regions: int) -> int:
 def runs_work(shape: tuple[int, ...]) -> int:
     """Words of memory for the largest number of runs of pixels that a map (H, W) can have: five a run, as in runs.h."""
     return 5 * shape[0] * ((shape[1] + 1) // 2)
+
+
+def mask_regions(shape: tuple[int, ...]) -> int:
+    """The largest number of regions that a mask (H, W) can have."""
+    return ((shape[0] + 1) // 2) * ((shape[1] + 1) // 2)
 
 
 def _contact(
@@ -261,23 +277,30 @@ def _contact(
     a = (xx / count - center[0] ** 2 + PIXEL_VARIANCE) * (x_mm * x_mm)
     b = (xy / count - center[0] * center[1]) * (x_mm * y_mm)
     d = (yy / count - center[1] ** 2 + PIXEL_VARIANCE) * (y_mm * y_mm)
-    mean, apart = (a + d) / 2, float(np.hypot((a - d) / 2, b))
+    mean, apart = (a + d) / 2, hypot((a - d) / 2, b)
     in_mm: dict[str, Any] = {
         "area_mm2": count * x_mm * y_mm,
         "volume_mm3": volume * x_mm * y_mm,
         "deepest_mm": deepest,
-        "axes_mm": tuple(4 * float(np.sqrt(max(square, 0.0))) for square in (mean + apart, mean - apart)),
+        "axes_mm": tuple(4 * sqrt(max(square, 0.0)) for square in (mean + apart, mean - apart)),
     }
     return Contact(
         label=label,
         area_px=int(count),
         centroid_px=center,
         deepest_px=(int(deepest_x), int(deepest_y)),
-        angle_deg=float(np.rad2deg(np.arctan2(2 * b, a - d)) / 2),
+        angle_deg=degrees(atan2(2 * b, a - d)) / 2,
         cut_by_border=left == 0 or top == 0 or right == shape[1] - 1 or bottom == shape[0] - 1,
         at_least=deeper,
         **(in_mm if pitch else {}),
     )
+
+
+_color_around = Kernel(
+    "color_around",
+    "u8[h,w,3]? pixels, f32[h,w,3]? levels, bool[h,w] contact, f32[r,c,3] gain, f32[r,c,3] rest, out f32[r,c,3] coarse, "
+    "out f32[n] work, out f32[2] changes",
+)
 
 
 class Surround:
@@ -289,33 +312,30 @@ class Surround:
     def __init__(self, background: Map) -> None:
         height, width = background.shape[:2]
         step = max(1, height // 40)  # to 40 rows: the measure is one of large areas
-        self._size = width // step, height // step
-        rest = self._coarse(np.asarray(background, dtype=np.float32))
+        shape = height // step, width // step, 3
+        self._gain, self._at_rest = np.ones(shape, np.float32), np.zeros(shape, np.float32)
+        rest, *_ = self._changes(background, np.zeros((height, width), np.bool_))
         self._gain = 1 / (rest + np.float32(CHANGE_OFFSET))
         self._at_rest = rest * self._gain
 
     def __call__(self, image: NDArray[np.number], contact: Mask) -> tuple[float | None, float | None]:
         """Median change outside a contact (H, W), mean change inside, RMS of a channel; None if there is no such part."""
-        inside = cv2.resize(contact.view(np.uint8), self._size, interpolation=cv2.INTER_NEAREST)
-        outside = cv2.dilate(inside, np.ones((3, 3), dtype=np.uint8)) == 0  # but for a coarse pixel around it
-        change = self._coarse(image)
-        change *= self._gain
-        change -= self._at_rest
-        change *= change
-        square = change @ np.full(change.shape[-1], 1 / change.shape[-1], dtype=np.float32)
-        within, around = np.sqrt(square[inside > 0]), square[outside]
-        middle = len(around) // 2
-        return (
-            float(np.sqrt(np.partition(around, middle)[middle])) if len(around) else None,
-            float(within.mean()) if len(within) else None,
-        )
+        _, (outside, inside), parts = self._changes(image, contact)
+        return outside if parts & 1 else None, inside if parts & 2 else None
 
-    def _coarse(self, image: NDArray[np.number]) -> Map:
+    def _changes(self, image: NDArray[np.number], contact: Mask) -> tuple[Map, list[float], int]:
+        """The coarse image, what changed, and which parts there are, as `color_around` says it."""
         # Means of four pixels: a mean of all would take thirty times as long, and the measures are of large areas.
-        return np.asarray(cv2.resize(image, self._size), dtype=np.float32)
+        pixels = image if image.dtype == np.uint8 else None
+        levels = np.ascontiguousarray(image, dtype=np.float32) if pixels is None else None
+        coarse, changes = np.empty_like(self._gain), np.empty(2, np.float32)
+        work = np.empty(coarse.size + 2 * coarse.shape[1], dtype=np.float32)
+        parts = _color_around(pixels, levels, contact, self._gain, self._at_rest, coarse, work, changes)
+        return coarse, changes.tolist(), parts
 
 
 MOMENTS = 14  # sums of a region
+MOST_LABELS = np.iinfo(np.uint16).max
 # Chosen on every second or third press of six real sensors and on three simulated ones, so that one ball is one contact and
 # frames at rest have none; docs/contacts.md shows the other frames.
 NOISE_FACTOR = 3.5  # standard deviations: pressures over the noise at rest, depths of regions over their own
@@ -323,85 +343,13 @@ MIN_AREA_MM2 = 0.05  # mm^2, area of the smallest contact
 SMOOTHING_PX = 0.7  # px, standard deviation of the Gaussian that smooths before the Laplacian
 NEIGHBORHOOD_PX = 4  # px, half the width of the square around a pixel that means are taken over
 
-_region_evidence = Kernel(
-    "region_evidence",
-    "u16[h,w] labels, f32[h,w] depth, f32[h,w] sigma, f32[h,w] evidence, f32[h,w] smooth, f32[h,w] bent, f32[t] influence, "
-    "out f64[n,7] measures, f32 stiffness, f32 per_x, f32 per_y",
+_contact_mask = Kernel(
+    "contact_mask",
+    "f32[h,w] depth, f32[3,r,c]? variances, bool[h,w]? lost, out f32[2,h,w] sigmas, f32[h,w] noise, f32[h,w]? read, "
+    "f32[h,w]? solved, bool[h,w]? at_rest, bool[h,w]? known, f32[t] taps, f64[4]? gains, f32[u] influence, "
+    "out bool[h,w] contact, out f32[n] work, f64 least, f32 most, f32 along_x, f32 along_y, f32 stiffness, f32 factor, "
+    "f32 reach, i64 margin, i64 join, i64 step",
 )
-_variance_below = Kernel("variance_below", "f32[...] depth, f32[...] sigma, out f64[1] excess, i64 step")
-_pressed_regions = Kernel(
-    "pressed_regions",
-    "f32[h,w] depth, f32[h,w] sigma, f32[h,w] noise, f32[h,w]? read, f32[h,w]? solved, bool[h,w]? at_rest, "
-    "bool[h,w]? known, f32[t] taps, f64[4]? gains, out f32[h,w] smooth, out f32[h,w] bent, out f32[h,w] evidence, "
-    "out u16[h,w] labels, out f32[n] work, f32 along_x, f32 along_y, f32 stiffness, f32 factor, f32 reach, i64 margin, "
-    "i64 step",
-)
-_standing_regions = Kernel(
-    "standing_regions",
-    "u16[h,w] labels, bool[n] stands, i32[n,2] deepest, f32[h,w] surface, out bool[h,w] contact, i64 reach",
-)
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """Which regions stand, by their own uncertainty.
-
-    A region's depth has to exceed `noise_factor` of its standard deviations: its deepest depth, and the depth of the
-    region's own pressure, as gel that another object draws down has depth without pressure of its own. So does the pressure
-    of a pixel. The depth that a pressure makes at the distance r is `K0(r/L) / (2 pi)`.
-
-    No contact makes a negative depth. What negative depths have more than their standard deviations say, as of dust or of
-    another light, is the frame's own noise, and counts as one more error of the depth that a region makes. Beside the
-    deepest region it may be its reaction, so that region may have a deviation without it.
-    """
-
-    pitch: tuple[float, float]  # (x, y), mm
-    length_mm: float  # L, the gel's relaxation length
-    # noise_factor, min_area_mm2: as in `contact_from_depth`
-    noise_factor: float
-    min_area_mm2: float
-
-    def __call__(
-        self,
-        number: int,  # of regions
-        labels: NDArray[np.uint16],  # (H, W), from 1
-        depth: Map,  # (H, W), mm
-        sigma: Map,  # (H, W), mm, its standard deviation
-        evidence: Map,  # (H, W), square of the mean pressure around over its variance
-        smooth: Map,  # (H, W), the depth smoothed
-        bent: Map,  # (H, W), minus its Laplacian
-        # of the deviation, mm, of the deepest region by its deepest pixel (y, x)
-        deepest_sigma: Callable[[tuple[int, int]], float] | None = None,
-    ) -> tuple[Mask, NDArray[np.int32]]:
-        """Whether each label (number + 1,) is a contact, and the (y, x) of its deepest pixel (number + 1, 2)."""
-        factor, area = self.noise_factor, self.pitch[0] * self.pitch[1]
-        measures, excess = np.empty((number, 7)), np.empty(1)
-        per_x, per_y = (step**2 / area for step in self.pitch)
-        _region_evidence(
-            labels, depth, sigma, evidence, smooth, bent, self._influence, measures, self.length_mm**-2, per_x, per_y,
-        )  # fmt: skip
-        _variance_below(depth, sigma, excess, step=max(1, depth.size // MEDIAN_SAMPLES))
-        pixels, deepest_mm, x, y, deviation, square, own_mm = measures.T
-        if number and deepest_sigma is not None:
-            k = int(np.argmax(np.minimum(own_mm, deepest_mm)))
-            deviation[k] = deepest_sigma((int(y[k]), int(x[k])))
-        # A depth is over the gel around, which is off by as much, so the variance of the difference is twice its own.
-        own = np.minimum(own_mm, deepest_mm) / np.maximum(np.sqrt(2 * deviation**2 + excess), 1e-9)
-        stands = (pixels >= self.min_area_mm2 / area) & (np.minimum(own, np.sqrt(square)) > factor)
-        deepest_yx = np.column_stack([y, x]).astype(np.int32)
-        return np.append(False, stands), np.vstack([np.zeros((1, 2), np.int32), deepest_yx])
-
-    @once
-    def _influence(self) -> Floats:
-        """Depth, mm, that a pressure of 1/mm on a pixel makes, by squared distance in pixels of mean size."""
-        area = self.pitch[0] * self.pitch[1]
-        # px^2. Beyond six relaxation lengths a pressure's depth is a thousandth; no contact is a thousand pixels wide. At 0
-        # the logarithm is that of the mean over a disc of a pixel's area.
-        reach = min((6 * self.length_mm) ** 2 / area, 1e6)
-        squares = np.arange(int(reach) + 2, dtype=np.float64)
-        squares[0] = 1 / (np.pi * np.e)
-        depth = bessel_k(0, np.sqrt(squares * area) / self.length_mm) * area / (2 * np.pi)
-        return np.asarray(depth, dtype=np.float32)
 
 
 class SlopeDeviations(NamedTuple):
@@ -473,7 +421,16 @@ def contact_from_depth(
 
 
 class PreparedContact:
-    """`contact_from_depth` for the frames of one sensor: float32, finite, in C order. Immutable; threads can share it."""
+    """`contact_from_depth` for the frames of one sensor: float32, finite, in C order. Immutable; threads can share it.
+
+    A region stands by its own uncertainty. Its depth has to exceed `noise_factor` of its standard deviations: its deepest
+    depth, and the depth of the region's own pressure, as gel that another object draws down has depth without pressure of
+    its own. So does the pressure of a pixel.
+
+    No contact makes a negative depth. What negative depths have more than their standard deviations say, as of dust or of
+    another light, is the frame's own noise, and counts as one more error of the depth that a region makes. Beside the
+    deepest region it may be its reaction, so that region may have a deviation without it.
+    """
 
     def __init__(
         self,
@@ -488,7 +445,7 @@ class PreparedContact:
         # gel that is drawn down for contact.
         length = relaxation_mm or 0.86
         reach_px = length / max(pitch)  # an object's depth reaches about as far beyond it
-        self._stands = Evidence(pitch, length, noise_factor, min_area_mm2)
+        self._pitch, self._length_mm = pitch, length
         # Beside a border, means are taken over fewer pixels that have a pressure of their own.
         side, inner = 2 * NEIGHBORHOOD_PX + 1, np.zeros_like(noise)
         margin = _margin(noise.shape)
@@ -498,46 +455,76 @@ class PreparedContact:
         # The square that means are taken over smooths once more, by its own standard deviation.
         smoothings = np.hypot(SMOOTHING_PX, [np.sqrt((side**2 - 1) * PIXEL_VARIANCE), 0])
         self._gains = None if correlation is None else _gains(pitch, smoothings, **correlation)
-        self._taps, self._step = blur_taps(SMOOTHING_PX), max(1, noise.size // MEDIAN_SAMPLES)
-        self._numbers = *(step**-2 for step in pitch), length**-2, noise_factor, reach_px, margin
-        # Five maps and a mask, and what takes the most: sums of as many over squares, a sample, or runs beyond four maps.
-        maps, rows, width = 5, 2 * NEIGHBORHOOD_PX + 4, noise.shape[1] + 2 * LANES
-        most = max(
-            (maps * rows + 2) * width,
-            2 * -(-noise.size // self._step),
-            runs_work(noise.shape) - 4 * noise.size,
-        )
-        self._work_size = maps * noise.size + -(-noise.size // 4) + most
+        self._taps = blur_taps(SMOOTHING_PX)
+        self._numbers = {
+            "least": min_area_mm2 / (pitch[0] * pitch[1]), "along_x": pitch[0] ** -2, "along_y": pitch[1] ** -2,
+            "stiffness": length**-2, "factor": noise_factor, "reach": reach_px, "margin": margin, "join": NEIGHBORHOOD_PX,
+            "step": max(1, noise.size // MEDIAN_SAMPLES),
+        }  # fmt: skip
+        # Three maps and labels, five maps and a mask, and what takes the most: sums of as many over squares, a sample, or
+        # runs beyond four maps.
+        size, maps, rows, width = noise.size, 5, 2 * NEIGHBORHOOD_PX + 4, noise.shape[1] + 2 * LANES
+        sums, sample = (maps * rows + 2) * width, 2 * -(-size // self._numbers["step"])
+        most = max(sums, sample, runs_work(noise.shape) - 4 * size)
+        self._work_size = (3 + maps) * size + -(-size // 2) + -(-size // 4) + most
 
     def __call__(
         self,
         depth: Map,  # (H, W), mm
-        sigma: Map | None,  # (H, W), mm, its standard deviation >= 0, by which regions stand
+        sigma: Map | None,  # (H, W), mm, its standard deviation >= 0
         slopes: SlopeDeviations | None = None,
         known: Mask | None = None,  # (H, W), pixels whose depth was not filled in
-        own_sigma: Map | None = None,  # the one that the frame itself shows, by which outlines are drawn
-        # mm, the one by which the deepest region stands, of its deepest pixel (y, x)
-        deepest_sigma: Callable[[tuple[int, int]], float] | None = None,
     ) -> Mask:
         """The contact mask (H, W) of a depth."""
         if sigma is None:  # the median of negative depths tells the noise, as of half a Gaussian
             sample = depth.ravel()[:: max(1, depth.size // MEDIAN_SAMPLES)]
             below = sample[sample < 0]
             sigma = np.full_like(depth, -SIGMA_OF_MEDIAN * float(np.median(below)) if below.size else 0.0)
+        return self._contact(depth, np.stack([sigma, sigma]), slopes, known)
+
+    def judged(
+        self,
+        depth: Map,
+        variances: Map,  # (3, r, c), mm^2: by which regions stand, outlines are drawn, and the deepest region stands
+        most_mm: float,  # of their roots, and at lost pixels (H, W)
+        lost: Mask | None,
+        slopes: SlopeDeviations | None = None,
+        known: Mask | None = None,
+    ) -> tuple[Mask, Map]:
+        """The contact mask (H, W) of a frame's depth whose errors are known, and the deviation (H, W) by which it stands."""
+        sigmas = np.empty((2, *depth.shape), dtype=np.float32)
+        return self._contact(depth, sigmas, slopes, known, variances, most_mm, lost), sigmas[0]
+
+    def _contact(
+        self,
+        depth: Map,
+        sigmas: Map,  # (2, H, W), by which regions stand, and outlines are drawn; made of variances if there are any
+        slopes: SlopeDeviations | None,
+        known: Mask | None,
+        variances: Map | None = None,
+        most_mm: float = np.inf,
+        lost: Mask | None = None,
+    ) -> Mask:
         of_slopes: tuple[Any, ...] = (None,) * 3 if slopes is None else slopes
-        smooth, bent, evidence = np.empty((3, *depth.shape), np.float32)
-        labels = np.empty(depth.shape, np.uint16)
-        count = _pressed_regions(
-            depth, sigma if own_sigma is None else own_sigma, self._noise, *of_slopes,
-            None if known is None or known.all() else known, self._taps, self._gains, smooth, bent, evidence, labels,
-            np.empty(self._work_size, dtype=np.float32), *self._numbers, self._step,
-        )  # fmt: skip
-        contact = np.zeros(depth.shape, dtype=np.bool_)
-        if _checked_count(count):
-            maps = labels, depth, sigma, evidence, smooth, bent, deepest_sigma
-            stands, deepest = self._stands(count, *maps)
-            _standing_regions(labels, stands, deepest, depth, contact, reach=NEIGHBORHOOD_PX)
+        contact = np.empty(depth.shape, dtype=np.bool_)
+        _checked_count(_contact_mask(
+            depth, variances, lost, sigmas, self._noise, *of_slopes,
+            None if known is None or known.all() else known, self._taps, self._gains, self._influence, contact,
+            np.empty(self._work_size, dtype=np.float32), most=most_mm, **self._numbers,
+        ))  # fmt: skip
         return contact
+
+    @once
+    def _influence(self) -> Floats:
+        """Depth, mm, that a pressure of 1/mm on a pixel makes, by squared distance in pixels of mean size."""
+        area = self._pitch[0] * self._pitch[1]
+        # px^2. Beyond six relaxation lengths a pressure's depth is a thousandth; no contact is a thousand pixels wide. At 0
+        # the logarithm is that of the mean over a disc of a pixel's area.
+        reach = min((6 * self._length_mm) ** 2 / area, 1e6)
+        squares = np.arange(int(reach) + 2, dtype=np.float64)
+        squares[0] = 1 / (np.pi * np.e)
+        depth = bessel_k(0, np.sqrt(squares * area) / self._length_mm) * area / (2 * np.pi)
+        return np.asarray(depth, dtype=np.float32)
 
     def pressed_background(
         self,

@@ -11,15 +11,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-import cv2
 import numpy as np
 
-from gelform._native import Kernel, is_finite
+from gelform._native import Kernel
 from gelform.arrays import Array, Floats, Map, Mask, Slopes
 from gelform.depth.coarse import Coarse, coarse_of
+from gelform.depth.contact import runs_work
 from gelform.depth.solvers.dct import CosineFilter
 from gelform.errors import ConvergenceError, Finding
-from gelform.foundations.filters import SIGMA_OF_MEDIAN, bessel_k, medians_where
+from gelform.foundations.filters import SIGMA_OF_MEDIAN, bessel_k
 from gelform.foundations.pool import once
 
 # Parts of the image's height: the influence's length L, and the standard deviation of the window for negative depths. Depth
@@ -34,8 +34,14 @@ DOUBTED = 0.28
 _depth_errors = Kernel(
     "depth_errors",
     "f32[h,w,2] slopes, f32[h,w] depth, bool[h,w] at_rest, bool[h,w] known, f32[h,w] read, f32[h,w] steep, "
-    "i32[row_ends] rows, i32[column_ends] columns, out f32[n] work, out f32[maps,r,c] cells, f32 full, f32 spill, "
-    "f32 rest_share, f32 spill_of_contact, f32 gain, f32 doubted",
+    "i32[row_ends] rows, i32[column_ends] columns, out f32[n] work, out f32[maps,r,c] cells, out f32[2] own, f32 full, "
+    "f32 spill, f32 rest_share, f32 spill_of_contact, f32 gain, f32 doubted, f32 least, f32 per_median",
+)
+_over_rest = Kernel("over_rest", "out f32[r,c] map, f32[r,c] at_rest, out f32[n] work, f32 share")
+_depth_variances = Kernel(
+    "depth_variances",
+    "out f32[r,c] common, f32[r,c] at_rest, f32[4,r,c] filtered, f32[r,c] border, out f32[n] work, f32 share, "
+    "out f32[7,r,c] variances, f32 of_frame, f32 usual, f32 pull, f32 least_free, f32 least",
 )
 MAPS = 10  # that `depth_errors` sums; the same as in native/depth/errors.c
 
@@ -62,7 +68,7 @@ class DepthSigma:
         # contacts, whose own noise is judged at their place, another one counts, and `rest_share` of the variance at rest.
         self.numbers = {
             "full": full_confidence_sigma, "spill": 0.3, "rest_share": 0.2, "spill_of_contact": 0.6,
-            "gain": gain_sigma, "doubted": DOUBTED,
+            "gain": gain_sigma, "doubted": DOUBTED, "least": LEAST_FREE, "per_median": SIGMA_OF_MEDIAN**2 / 2,
         }  # fmt: skip
         self._beside_border = _beside_border(coarse, shape)
         spread = _spread(coarse, shape) * np.float32((factor * mm_per_px) ** 2)
@@ -78,27 +84,26 @@ class DepthSigma:
         steep: Map,  # (H, W), the one of steep slopes
     ) -> DepthErrors:
         """The errors of a depth; ConvergenceError: float32 cannot hold them."""
-        cells = np.empty((MAPS, *self.coarse.shape), dtype=np.float32)
-        work = np.empty(MAPS * depth.shape[1], dtype=np.float32)
-        _depth_errors(
-            slopes, depth, at_rest, known, read, steep, self._rows, self._columns, work, cells, **self.numbers
-        )
-        if not is_finite(cells):
+        cells, own_of_frame = np.empty((MAPS, *self.coarse.shape), np.float32), np.empty(2, np.float32)
+        work = np.empty(max(MAPS * depth.shape[1], 2 * cells[0].size), dtype=np.float32)
+        beyond_float = _depth_errors(
+            slopes, depth, at_rest, known, read, steep, self._rows, self._columns, work, cells, own_of_frame,
+            **self.numbers,
+        )  # fmt: skip
+        if beyond_float:
             raise ConvergenceError(
                 "Expected a finite standard deviation of depth, got infinity or NaN. Slopes, their deviation or "
                 "mm_per_px differ by more than float32 holds: check the calibration's scales."
             )
-        anywhere, of_contact, below, free = self._filter(cells[:4])
-        own = below / np.maximum(free, np.float32(LEAST_FREE))
-        of_frame = cells[2].mean() / max(cells[3].mean(), np.float32(LEAST_FREE))
-        usual = np.float32(SIGMA_OF_MEDIAN**2 / 2) * medians_where(cells[2][..., None], cells[2] > 0)[0][0]
-        least = np.float32(1e-14)  # mm^2; the filter rounds
-        anywhere, of_contact = (np.maximum(m * self._beside_border, least) for m in (anywhere, of_contact))
-        numbers = own, of_frame, min(usual, of_frame), cells[4:], self._mm_per_px, self.numbers["gain"]
-        return DepthErrors(self.coarse, anywhere, of_contact, *numbers)
+        of_frame, usual = own_of_frame.tolist()
+        return DepthErrors(
+            self.coarse, cells[4:], self._filter(cells[:4]), self._beside_border, of_frame, usual, self._mm_per_px,
+            self.numbers["gain"],
+        )  # fmt: skip
 
 
 Purpose = Literal["stated", "contact", "outline", "valley"]
+PURPOSES = "valley", "", "", "stated", "contact", "outline", ""  # of the maps of `depth_variances`
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,37 +111,71 @@ class DepthErrors:
     """The errors of one frame's depth on the coarser grid (r, c)."""
 
     coarse: Coarse
-    spread: Map  # variance by the slopes, mm^2
-    contact_spread: Map  # the same for the judgment of contacts
-    own: Map  # twice the mean square of negative depths around, mm^2
-    own_of_frame: np.float32  # the same in the whole frame
-    usual_of_frame: np.float32  # the same by the median of negative depths, which a valley does not move
     # (6, r, c), the depth, what steep faces add to slopes that are off in proportion (p, q), slopes of steep faces that
     # may be missing (p, q), and the share of pixels at rest
     means: Map = field(repr=False)
+    filtered: Map = field(repr=False)  # (4, r, c), what squared errors and negative depths make around
+    border: Map = field(repr=False)  # factor of the first two beside a border
+    own_of_frame: float  # twice the mean square of negative depths in the whole frame, mm^2
+    usual_of_frame: float  # the same by the median of negative depths, which a valley does not move
     mm_per_px: np.float32
     gain_sigma: float
 
     @once
+    def _on_grid(self) -> tuple[Map, Map]:
+        """`common_mm`, and the variances (7, r, c) that `depth_variances` makes with it, mm^2."""
+        common = np.float32(self.gain_sigma) * self.means[0]
+        if self.is_steep:
+            common += self._integrated(self.means[1:3])
+        variances = np.empty((len(PURPOSES), *common.shape), dtype=np.float32)
+        _depth_variances(
+            common, self.means[5], self.filtered, self.border, *_at_rest(common), variances, self.own_of_frame,
+            self.usual_of_frame, PULL, LEAST_FREE, 1e-14,  # mm^2; the filter rounds
+        )  # fmt: skip
+        return common, variances
+
+    @property
     def common_mm(self) -> Map:
-        """Depth that all slopes in proportion and steep ones may be off by together, one standard deviation; 0 at rest."""
-        in_proportion = np.float32(self.gain_sigma) * self.means[0]
-        return self._over_rest(in_proportion + self._integrated(self.means[1:3]))
+        """Depth that all slopes in proportion and steep ones may be off by together, one standard deviation; 0 at rest.
+
+        It is 0 in the largest part at rest, whatever faces beside it are. A part behind walls, as the top of a punch, is as
+        wrong as they are.
+        """
+        return self._on_grid[0]
 
     @once
     def steep_mm(self) -> Map:
         """The same of steep slopes alone."""
-        return self._over_rest(self._integrated(self.means[3:5]))
+        if not self.is_steep:
+            return np.zeros_like(self.spread)
+        depth = self._integrated(self.means[3:5])
+        _over_rest(depth, self.means[5], *_at_rest(depth))
+        return depth
+
+    @once
+    def is_steep(self) -> bool:
+        """Whether slopes of steep faces may be missing."""
+        return bool(self.means[3:5].any())
+
+    @property
+    def spread(self) -> Map:
+        """Variance (r, c) by the slopes, mm^2."""
+        return self._on_grid[1][0]
+
+    @property
+    def own(self) -> Map:
+        """Twice the mean square (r, c) of negative depths around, mm^2."""
+        return self._on_grid[1][1]
 
     @property
     def coarse_variance(self) -> Map:
-        """Variance on the coarser grid (r, c), without what is common."""
-        return self._with(self.own, self.spread)
+        """Variance (r, c) by both, without what is common."""
+        return self._on_grid[1][2]
 
     @property
-    def local_variance(self) -> Map:
-        """The same at every pixel (H, W)."""
-        return self.coarse.at_pixels(self.coarse_variance)
+    def of_contacts(self) -> Map:
+        """Those (3, r, c) of "contact", "outline", and the deepest contact, whose reaction valleys beside it may be."""
+        return self._on_grid[1][PURPOSES.index("contact") :]
 
     def sigma(self, most_mm: float, purpose: Purpose = "stated", lost: Mask | None = None) -> Map:
         """Standard deviation (H, W) of the depth, mm, `most_mm` at most and at lost pixels (H, W), for a purpose.
@@ -149,54 +188,21 @@ class DepthErrors:
         - outline: where a contact ends: by negative depths alone, those around each pixel too
         - valley: whether a valley is a touch in the background: by the slopes alone, as if negative depths were no error
         """
-        own, variance = self.own, self.contact_spread
-        if purpose == "valley":
-            found = self.spread
-        elif purpose == "stated":
-            found = self.coarse_variance + np.square(self.common_mm)
-        elif purpose == "contact":
-            found = self._with(np.maximum(own, self.own_of_frame), variance)
-        else:
-            found = self._with(np.maximum(own, self.usual_of_frame), np.zeros_like(own))
-        return self.coarse.root_at_pixels(found, most_mm, lost)
-
-    def deepest_sigma(self, most_mm: float, place: tuple[int, int]) -> float:
-        """That of a contact whose deepest pixel is (y, x): valleys beside it, which may be its reaction, do not count."""
-        variance = self._with(self.usual_of_frame, self.contact_spread)
-        return min(self.coarse.at_pixel(variance, place) ** 0.5, most_mm)
-
-    def _with(self, own: Map | np.float32, variance: Map | np.float32) -> Map:
-        return np.asarray(variance + np.float32(PULL) * np.maximum(own - variance, 0), dtype=np.float32)
+        variances = dict(zip(PURPOSES, self._on_grid[1]))
+        return self.coarse.root_at_pixels(variances[purpose], most_mm, lost)
 
     def _integrated(self, slopes: Map) -> Map:
         """Depth, mm, of slopes (2, r, c)."""
-        if not slopes.any():
-            return np.zeros_like(self.spread)
         return self.coarse.depth_px(np.ascontiguousarray(np.moveaxis(slopes, 0, -1))) * self.mm_per_px
 
-    def _over_rest(self, depth: Map) -> Map:
-        """A depth (r, c), 0 in the largest part at rest, whatever faces beside it are.
 
-        A part behind walls, as the top of a punch, is as wrong as they are.
-        """
-        if self._largest_rest is not None and depth.any():
-            depth -= medians_where(depth[..., np.newaxis], self._largest_rest)[0]
-            depth[self._largest_rest] = 0
-        return depth
-
-    @once
-    def _largest_rest(self) -> Mask | None:
-        """The largest part (r, c) at rest; None without one."""
-        parts, labels, figures, _ = cv2.connectedComponentsWithStats(
-            (self.means[5] > 0.5).view(np.uint8), connectivity=4
-        )
-        if parts < 2:
-            return None
-        return np.asarray(labels == 1 + figures[1:, cv2.CC_STAT_AREA].argmax(), dtype=np.bool_)
+def _at_rest(depth: Map) -> tuple[Floats, float]:
+    """Work for a depth over rest, and the share of a cell's pixels above which it is at rest."""
+    return np.empty(runs_work(depth.shape) + 2 * depth.size + -(-depth.size // 4), dtype=np.float32), 0.5
 
 
 def squared_factor(square: Map, own: Map, per_unit: Floats) -> Map:
-    """Squares of the factor at which `DepthErrors.local_variance` is a squared error, mm^2; 0 where `own` alone exceeds it.
+    """Squares of the factor at which `DepthErrors.coarse_variance` is a squared error, mm^2; 0 where `own` alone exceeds it.
 
     `per_unit` is the variance by the slopes and a factor of 1, `own` that of negative depths.
     """
@@ -209,6 +215,8 @@ def steep_finding(depth_mm: Map, contact: Mask, steep: Map, errors: DepthErrors)
 
     `steep` (H, W) is the deviation of steep slopes, in the depth (H, W) and its contact (H, W).
     """
+    if not errors.is_steep:
+        return ()
     at, deepest = errors.coarse.at_pixel, divmod(int(np.argmax(depth_mm)), depth_mm.shape[1])
     rest = at(errors.coarse_variance, deepest) + (errors.gain_sigma * float(depth_mm[deepest])) ** 2
     if at(errors.common_mm, deepest) ** 2 <= 9 * rest:  # steep faces are a part of that

@@ -396,16 +396,17 @@ class DepthLimit:
         """Standard deviation of a depth about which only the limit is known: that of a uniform distribution."""
         return self.limit_mm * sqrt(PIXEL_VARIANCE)
 
-    def bound(self, depth_mm: Map) -> tuple[Map, tuple[Finding, ...]]:
-        """Clip the depth (H, W) to plus and minus the limit, with a finding if that changed it."""
+    def bound(self, depth_mm: Map) -> tuple[Map, tuple[float, float], tuple[Finding, ...]]:
+        """Clip the depth (H, W) to plus and minus the limit; its range then, mm, and a finding if that changed it."""
         low, high = value_range(depth_mm)
         largest = max(high, -low)
         if largest <= self.limit_mm:
-            return depth_mm, ()
+            return depth_mm, (low, high), ()
         what = "thickness of the gel" if self.is_thickness else "width of the field of view"
         message = (
             f"Depth reaches {largest:.3g} mm, more than the {what} ({self.limit_mm:.3g} mm), and is cut there. "
             "The image does not fit the calibration. Do not trust this depth."
         )
         limit = np.float32(self.limit_mm)
-        return np.clip(depth_mm, -limit, limit), (Finding("beyond_gel", message, largest),)
+        bounded = np.clip(depth_mm, -limit, limit)
+        return bounded, value_range(bounded), (Finding("beyond_gel", message, largest),)

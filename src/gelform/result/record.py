@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelform.arrays import MIB, Array, Map, Mask
-from gelform.depth.contact import Contact, at_least, contacts_from_mask, may_be_deeper
+from gelform.depth.contact import Contact, at_least, contacts_of, may_be_deeper
 from gelform.depth.force import Force, ForceModel, force_from_result
 from gelform.errors import DataError, Finding, GelformError
 from gelform.foundations.checks import (
@@ -30,7 +30,7 @@ from gelform.image.markers import MarkerFlow
 from gelform.image.view import THUMBNAIL_PX
 from gelform.result.maps import BESIDE_DEPTH, MAPS, ResultMaps
 from gelform.result.shape import ShapeErrors
-from gelform.slopes.normals import normals_from_gradients
+from gelform.slopes.normals import normals_of
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class Reconstruction(ResultMaps):
     @once
     def normals(self) -> Map:
         """Unit normals (H, W, 3), n_z > 0, of the gradients."""
-        return normals_from_gradients(self.gradients)
+        return normals_of(np.ascontiguousarray(self.gradients, np.float32))
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
@@ -175,7 +175,9 @@ class Reconstruction(ResultMaps):
 
     @once
     def _labeled(self) -> tuple[tuple[Contact, ...], NDArray[np.uint16]]:
-        return contacts_from_mask(self.contact, self.depth, mm_per_px=self.mm_per_px, known=self.known)
+        maps = np.ascontiguousarray(self.contact), np.ascontiguousarray(self.depth, np.float32)
+        pitch = None if self.mm_per_px is None else check_mm_per_px(self.mm_per_px)
+        return contacts_of(*maps, pitch, self.known)
 
     @once
     def force(self) -> Force:

@@ -87,7 +87,11 @@ def normals_from_gradients(gradients: ArrayLike) -> Slopes:
     ValueError, TypeError
         Slopes of another shape, or not finite.
     """
-    slopes = np.ascontiguousarray(check_gradients(gradients))
+    return normals_of(check_gradients(gradients))
+
+
+def normals_of(slopes: Slopes) -> Slopes:
+    """`normals_from_gradients` of slopes (..., 2) that are float32 and finite, in C order."""
     normals = np.empty((*slopes.shape[:-1], 3), np.float32)
     _normals_of_slopes(slopes.reshape(-1, 2), normals.reshape(-1, 3))
     return normals
