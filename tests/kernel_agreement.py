@@ -246,6 +246,11 @@ def ends(of):
     return lambda rng, shape, s: np.sort(rng.integers(0, s[of] + 1, shape))
 
 
+def cell_ends(rng, shape, s):
+    """Even ones where there is room."""
+    return 4 * np.arange(shape[0]) if 4 * s["c"] <= s["w"] else ends("w")(rng, shape, s)
+
+
 def parents(rng, shape, s):
     """Of each term an earlier one or none, and a channel."""
     return np.stack([rng.integers(-1, np.arange(shape[0])), rng.integers(0, 3, shape[0])], axis=-1)
@@ -274,7 +279,7 @@ VALUES = {
     "labels": whole(0, "n"), "count": whole(0, "n"), "last": whole(0, "n"), "leds": real(1, 9),
     **dict.fromkeys(["pairs", "steps", "doublings", "flat"], whole(1, 4)), "back": whole(0, 2), "rounds": whole(1, 5),
     "dark_to": whole(0, 30), "saturated_from": whole(230, 256), "clipped": whole(0, 2), "widened": real(1, 3),
-    "depth_errors rows": ends("h"), "depth_errors columns": ends("w"), "png_rows rows": filtered,
+    "depth_errors rows": ends("h"), "depth_errors columns": cell_ends, "png_rows rows": filtered,
     "irradiance leds": lambda rng, shape, s: rng.uniform(1, 9, shape) * ([1] * 6 + [-0.1] * 3 + [0.3]),
     "ranges": whole(0, 9), "digests": lambda rng, shape, s: rng.integers(-3, 3, shape) * rng.choice([1, 2**60]),
     "scale_weights weights": lambda rng, shape, s: 10 ** rng.uniform(-5, 0, shape) * rng.choice([1, 1e-42, 3e38]),

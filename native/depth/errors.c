@@ -37,6 +37,19 @@ static inline void add_row(const struct numbers *restrict n, const float *restri
   }
 }
 
+enum { USUAL = 4 };  // columns of a cell in most images: known to the compiler, they are vectors
+
+// A row of cells from the sums of its rows of pixels; `each`: how many columns every cell has, 0 if not all have as many.
+static inline void means_of_row(const float *restrict sums, const int32_t *restrict columns, ptrdiff_t each, ptrdiff_t rows,
+                                float *restrict cells, ptrdiff_t c) {
+  for (ptrdiff_t j = 0; j < c; j++) {
+    const ptrdiff_t from = each > 0 ? j * each : columns[j], to = each > 0 ? from + each : columns[j + 1], count = rows * (to - from);
+    float total = 0;
+    for (ptrdiff_t x = from; x < to; x++) total += sums[x];
+    cells[j] = total / (float)(count > 0 ? count : 1);  // none in images of a row
+  }
+}
+
 // Cell (r, c) holds the rows from rows[r] to rows[r + 1] and the columns from columns[c] to columns[c + 1]. `own`: the squared negative
 // depths of the whole frame, of pixels where they count, but of a share of `least` at least; and the same by the median of negative
 // cells times `per_median`, if that is less. Returns 1 where float holds no mean.
@@ -47,17 +60,17 @@ EXPORT int depth_errors(const float *slopes, const float *depth, const bool *at_
   const ptrdiff_t size = r * c;
   const struct numbers values = {full, square_of(spill), rest_share, square_of(spill_of_contact), gain, doubted};
   if (maps != MAPS || row_ends != r + 1 || column_ends != c + 1 || n < MAPS * w || n < 2 * size || rows[r] > h || columns[c] > w) return WRONG_SIZE;
+  bool even = true;
+  for (ptrdiff_t j = 0; j <= c; j++) even &= columns[j] == USUAL * j;
   for (ptrdiff_t i = 0; i < r; i++) {
     memset(work, 0, (size_t)(MAPS * w) * sizeof *work);
     for (ptrdiff_t y = rows[i]; y < rows[i + 1]; y++)
       add_row(&values, slopes + 2 * y * w, depth + y * w, at_rest + y * w, known + y * w, read + y * w, steep + y * w, work, w);
-    for (ptrdiff_t map = 0; map < MAPS; map++)
-      for (ptrdiff_t j = 0; j < c; j++) {
-        float total = 0;
-        for (ptrdiff_t x = columns[j]; x < columns[j + 1]; x++) total += work[map * w + x];
-        const ptrdiff_t count = (rows[i + 1] - rows[i]) * (columns[j + 1] - columns[j]);  // none in images of a row
-        cells[(map * r + i) * c + j] = total / (float)(count > 0 ? count : 1);
-      }
+    for (ptrdiff_t map = 0; map < MAPS; map++) {
+      float *row = cells + (map * r + i) * c;
+      if (even) means_of_row(work + map * w, columns, USUAL, rows[i + 1] - rows[i], row, c);
+      else means_of_row(work + map * w, columns, 0, rows[i + 1] - rows[i], row, c);
+    }
   }
   if (times_zero(cells, MAPS * size) != 0) return 1;
   const float *below = cells + BELOW_ZERO * size;
