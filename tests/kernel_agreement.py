@@ -157,6 +157,17 @@ def pressed(s):
     return {**sizes, "n": 5 * size + -(-size // 4) + most}
 
 
+def blocked(s):
+    h, w = s["h"] + 15, s["w"] + 15
+    return {"h": h, "w": w, "bh": h // 16, "bw": w // 16}
+
+
+def framed(s):
+    """At least three blocks side by side."""
+    of = blocked({**s, "w": s["w"] + 32})
+    return {**of, "n": max(3 * of["h"], of["h"] + 9 * of["bw"])}
+
+
 def cosines(s):
     n = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 15, 18, 20, 21][s["half"] % 16]
     return {"half": n, "stride": 2 * n + s["stride"] % 3, "knots": n + 1, "n": (6 * n + 1) * LANES}
@@ -185,9 +196,9 @@ SIZES = {
     "distance_from_touched": touched,
     "fit_light": lambda s: {"m": 14 * s["n"], "rounds": s["rounds"] % 4 + 1},
     "follow_patches": lambda s: {"side": (side := s["pixels"] % 9 + 1), "pixels": side**2},
-    "health_blocks": lambda s: {"h": s["h"] + 15, "w": s["w"] + 15, "bh": (s["h"] + 15) // 16, "bw": (s["w"] + 15) // 16},
+    "health_blocks": blocked,
     "health_bands": lambda s: {"n": s["n"] + 2}, "health_seam": lambda s: {"m": 3 * s["n"]},
-    "health_signs": lambda s: {"n": 2 ** s["h"].bit_length()},
+    "health_of_frame": framed, "health_signs": lambda s: {"n": 2 ** s["h"].bit_length()},
     "held_outline": lambda s: {"n": max(5 * s["h"] * half(s["w"]), s["h"] * s["w"])},
     "irradiance": lambda s: {"oversample": (k := s["lights"] % 3 + 1), "h": k * s["rows"], "w": k * s["columns"]},
     "label_regions": lambda s: {"n": 5 * s["h"] * half(s["w"])}, "least_changed_sums": lambda s: {"m": 2 * s["n"]},
@@ -200,6 +211,7 @@ SIZES = {
     "rest_anchor": lambda s: {"n": max(9 * s["r"] * half(s["k"]) + 5 * s["r"] * s["k"], 4 * s["w"] + s["r"] * s["k"])},
     "slope_budget": lambda s: {"parts": 8, "count": 21},
     "touched_regions": lambda s: {"m": s["h"] * s["w"], "n": 5 * s["h"] * half(s["w"]) + -(-s["h"] * s["w"] // 4)},
+    "slopes_at_rest": lambda s: {"coarse": (c := s["step"] % 3 + 1), "n": 2 * max(stepped(s), stepped({**s, "step": c}))},
     "slopes_over_rest": lambda s: {"n": 3 * s["r"] * s["k"]}, "root_at_pixels": lambda s: {"n": 4 * s["w"]},
 }  # fmt: skip
 
@@ -260,6 +272,7 @@ VALUES = {
     "ranges": whole(0, 9), "digests": lambda rng, shape, s: rng.integers(-3, 3, shape) * rng.choice([1, 2**60]),
     "scale_weights weights": lambda rng, shape, s: 10 ** rng.uniform(-5, 0, shape) * rng.choice([1, 1e-42, 3e38]),
     "scale_weights anchor": lambda *of: np.maximum(SIGNED(*of), 0), "floor": real(1e-6, 0.1),
+    "slopes_at_rest square": real(0.2, 2), "slopes_at_rest share": real(0, 0.5),
     "contact_outline pressure": lambda rng, shape, s: rng.normal(0, 9, shape).clip(0) * some(rng, (shape[0], 1), s),
     "sure_pressure slopes": real(0.05, 1), "pressure_means slopes": real(0.05, 1),
     "slope_budget light": real(0, 1),

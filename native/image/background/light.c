@@ -32,7 +32,7 @@ static float place(ptrdiff_t k, ptrdiff_t n) { return (float)(2 * k + 1) / (floa
 EXPORT int lit_blocks(const float *blocks, const float *untouched, int64_t step, float dark, float bright, float *lit,
                       float *medians, float *work, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n, ptrdiff_t m) {
   ptrdiff_t count = 0;
-  if (step < 1 || n <= ((h + step - 1) / step) * ((w + step - 1) / step) || m < 2 * n) return WRONG_SIZE;
+  if (step < 1 || n <= sampled(h, w, step) || m < 2 * n) return WRONG_SIZE;
   for (ptrdiff_t y = 0; y < h; y += step)
     for (ptrdiff_t x = 0; x < w; x += step) {  // what a block leaves is overwritten unless it is lit
       const float *image = blocks + 3 * (y * w + x), *rest = untouched + 3 * (y * w + x);
