@@ -1,5 +1,5 @@
 // A light, exp(L(x, y)) B + r, fitted to blocks of an image by Gauss-Newton, with touched blocks as outliers.
-#include "../../select.h"
+#include "compare.h"
 
 enum { CHANNELS = 3, TERMS = 4 };  // a channel's gain, its tilts along x and y, its room light
 
@@ -223,4 +223,31 @@ EXPORT int fit_light(const float *lit, int64_t count, const double *prior, const
     figures[0] = sigma;
   }
   return OK;
+}
+
+// The light as a gain alone, from the blocks' median ratio, in one call with what precedes and follows it. `image`: its means go to
+// `blocks` first; NULL: they are given. `beside`: the change that a quarter and a half of the lit blocks exceed not, of the channel
+// that changed most; the least inverse variance of a channel's gain; the correlation without the gain. Returns how many are lit.
+EXPORT int gain_of_blocks(const uint8_t *image, float *blocks, const float *untouched, const double *prior, const bool *is_free,
+                          const double *widened, float *lit, double *values, double *normal, float *farthest, double *figures,
+                          double *beside, float *work, int64_t step, float dark, float bright, double sigma, double least, double most,
+                          double wide, double alike, float offset, ptrdiff_t h, ptrdiff_t w, ptrdiff_t bh, ptrdiff_t bw,
+                          ptrdiff_t rounds, ptrdiff_t n, ptrdiff_t m) {
+  float medians[CHANNELS], scale[CHANNELS];
+  if (bh < 1 || 2 * m < 3 * w) return WRONG_SIZE;
+  if (image != NULL && means_of_bytes(image, h / bh, (uint16_t *)work, blocks, h, w, 3 * w, bh, bw) != OK) return WRONG_SIZE;
+  const int count = lit_blocks(blocks, untouched, step, dark, bright, lit, medians, work, bh, bw, n, m);
+  if (count < 0) return WRONG_SIZE;
+  for (int i = 0; i < CHANNELS * TERMS; i++) values[i] = i % TERMS == 0 ? logarithm_of((double)medians[i / TERMS]) : 0;
+  if (fit_light(lit, count, prior, is_free, widened, values, normal, farthest, figures, work, sigma, least, most, wide, alike, offset, n,
+                rounds, m) != OK)
+    return WRONG_SIZE;
+  beside[2] = INFINITY;
+  for (int k = 0; k < 2; k++) beside[k] = count > 0 ? (double)kth_smallest(farthest, count, count / (k == 0 ? 4 : 2), (uint32_t *)work) : NAN;
+  for (int c = 0; c < CHANNELS; c++) {
+    const double information = normal[c * TERMS * TERMS];
+    beside[2] = information < beside[2] ? information : beside[2];
+    scale[c] = exponential((float)-values[c * TERMS]);
+  }
+  return least_changed_correlation(blocks, untouched, scale, work, beside + 3, bh * bw, m) == OK ? count : WRONG_SIZE;
 }

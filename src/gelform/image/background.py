@@ -30,7 +30,7 @@ from gelform.foundations.filters import (
 )
 from gelform.foundations.information import check_condition
 from gelform.image.agreement import check_own_background, compared, touch_in
-from gelform.image.light import FrameLight, block_means, scale_of_light, without_light
+from gelform.image.light import FrameLight, block_means, block_means_later, scale_of_light, without_light
 from gelform.image.view import DARK
 
 Matrix = tuple[tuple[float, ...], ...]
@@ -153,7 +153,8 @@ class PreparedBackground:
 
         CalibrationError: as `agreement.compared`.
         """
-        return compared(block_means(image), self._blocks, self._usual)
+        blocks, pixels = block_means_later(image)
+        return compared(blocks, self._blocks, self._usual, pixels)
 
     def bridged(self, image: Array, hidden: Mask) -> Array:
         """The image (H, W, 3) with hidden pixels (H, W), such as markers, filled by the color change around them.
