@@ -455,10 +455,12 @@ def room_light_finding(light: FrameLight) -> tuple[Finding, ...]:
     The sensor's own light multiplies the background image. Light from outside is added to it, in dark places too.
     """
     room = 0.0 if light.is_plain else _sure(light.room, light.covariance[:, 3, 3], ROOM_REPORTED)
+    if not room:
+        return ()
     message = (
         f"Room light changes the colors by up to {room:+.0f} gray levels. gelform removes it. Shade the gel."
     )
-    return (Finding("room_light", message, room),) if room else ()
+    return (Finding("room_light", message, room),)
 
 
 def _sure(values: Numbers, variances: Numbers, least: float) -> float:

@@ -193,7 +193,7 @@ class PreparedBackground:
         values, response = np.zeros((3, 4)) if of_frame is None else of_frame.values, self.settings.response
         # The light belongs to the camera's channels, so it acts before response and crosstalk are removed. Factors may wait.
         waits = self.settings.crosstalk is None and (response == 1 or not values[:, 3].any())
-        if values.any() and not waits:
+        if not waits and values.any():
             image, values = without_light(image, values), np.zeros((3, 4))
         image = linear_light(image, self.settings)
         is_bytes = image.dtype == np.uint8

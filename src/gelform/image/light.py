@@ -112,12 +112,12 @@ class FrameLight:
     @once
     def is_plain(self) -> bool:
         """Whether the frame differs by a gain at most."""
-        return not self.values[:, 1:].any()
+        return not np.count_nonzero(self.values[:, 1:])
 
     @once
     def gain(self) -> Numbers:
         """Brightness (3,) in the middle over the background's, without the room's light."""
-        return np.asarray(np.exp(self.values[:, 0]), dtype=np.float64)
+        return np.asarray(np.exp(self.values[:, 0]))
 
     @property
     def tilt(self) -> Numbers:
@@ -313,8 +313,10 @@ def scale_of_light(shape: tuple[int, ...], light: Numbers) -> Map:
 
     After them come, unless the light is a gain, factors of its rows (3 H,), and gray levels (3,) to subtract before.
     """
-    if not light[:, 1:].any():
-        return np.tile(np.exp(-light[:, 0]).astype(np.float32), shape[1])
+    if not np.count_nonzero(light[:, 1:]):
+        columns = np.empty((shape[1], 3), dtype=np.float32)
+        columns[:] = np.exp(-light[:, 0])
+        return columns.ravel()
     y, x = map(_centers, shape[:2])
     columns, rows = np.exp(-light[:, 0] - x[:, None] * light[:, 1]), np.exp(-y[:, None] * light[:, 2])
     return np.concatenate([columns, rows, light[None, :, 3]]).ravel().astype(np.float32)
