@@ -1,4 +1,4 @@
-// A light, exp(L(x, y)) B + r, fitted to blocks of an image by Gauss-Newton, with touched blocks as outliers; and how alike they are in it.
+// A light, exp(L(x, y)) B + r, fitted to blocks of an image by Gauss-Newton, with touched blocks as outliers; then the likeness in it.
 #include "../../select.h"
 
 enum { CHANNELS = 3, TERMS = 4 };  // a channel's gain, its tilts along x and y, its room light
