@@ -92,7 +92,6 @@ def stages(calibration: gelform.Calibration, image: np.ndarray) -> dict[str, Cal
         "clipped channels": (today, "clipped"),
         "color change, blur and color model": (today, "in_one_pass"),
         "depth of the frame, step of the forward response": (fixed, "stepped"),
-        "what untouched pixels have in common": (gelform.reconstruct, "reference_from_color_change"),
         "untouched pixels": (gelform.reconstruct, "without_bias"),
         "weights": (ReadSlopes, "weights"),
         "anchor at rest": (fixed.depth, "_anchor"),

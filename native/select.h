@@ -52,4 +52,10 @@ static inline float median(const float *values, ptrdiff_t n, uint32_t *keys) {
   return (lower + (not_above > n / 2 ? lower : above)) / 2;
 }
 
+// Pixels of every `step`-th row and column.
+static inline ptrdiff_t sampled(ptrdiff_t h, ptrdiff_t w, ptrdiff_t step) { return (h + step - 1) / step * ((w + step - 1) / step); }
+
+EXPORT int medians_where(const float *values, const bool *chosen, int64_t step, float *work, float *medians, ptrdiff_t h,
+                         ptrdiff_t w, ptrdiff_t c, ptrdiff_t n);
+
 #endif

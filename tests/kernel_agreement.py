@@ -168,6 +168,30 @@ def over_rest(s):
     return {"n": 5 * s["r"] * half(s["c"]) + 2 * cells + -(-cells // 4)}
 
 
+def blocked(s):
+    h, w = s["h"] + 15, s["w"] + 15
+    return {"h": h, "w": w, "bh": h // 16, "bw": w // 16}
+
+
+def framed(s):
+    """At least three blocks side by side."""
+    of = blocked({**s, "w": s["w"] + 32})
+    return {**of, "n": max(3 * of["h"], of["h"] + 9 * of["bw"])}
+
+
+def compared(s):
+    """Whole blocks of 1 to 3 px, and the work of the light's fit or of the correlation."""
+    h, w, block = s["bh"], s["bw"], s["w"] % 3 + 1
+    n = stepped({**s, "h": h, "w": w}) + 1
+    return {
+        "h": block * h,
+        "w": block * w,
+        "rounds": s["rounds"] % 4 + 1,
+        "n": n,
+        "m": max(14 * n, 2 * h * w),
+    }
+
+
 def cosines(s):
     n = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 15, 18, 20, 21][s["half"] % 16]
     return {"half": n, "stride": 2 * n + s["stride"] % 3, "knots": n + 1, "n": (6 * n + 1) * LANES}
@@ -203,12 +227,12 @@ SIZES = {
     "distance_from_touched": touched,
     "fit_light": lambda s: {"m": 14 * s["n"], "rounds": s["rounds"] % 4 + 1},
     "follow_patches": lambda s: {"side": (side := s["pixels"] % 9 + 1), "pixels": side**2},
-    "health_blocks": lambda s: {"h": s["h"] + 15, "w": s["w"] + 15, "bh": (s["h"] + 15) // 16, "bw": (s["w"] + 15) // 16},
+    "gain_of_blocks": compared, "health_blocks": blocked,
     "health_bands": lambda s: {"n": s["n"] + 2}, "health_seam": lambda s: {"m": 3 * s["n"]},
-    "health_signs": lambda s: {"n": 2 ** s["h"].bit_length()},
+    "health_of_frame": framed, "health_signs": lambda s: {"n": 2 ** s["h"].bit_length()},
     "held_outline": lambda s: {"n": max(5 * s["h"] * half(s["w"]), s["h"] * s["w"])},
     "irradiance": lambda s: {"oversample": (k := s["lights"] % 3 + 1), "h": k * s["rows"], "w": k * s["columns"]},
-    "label_regions": lambda s: {"n": 5 * s["h"] * half(s["w"])}, "least_changed_sums": lambda s: {"m": 2 * s["n"]},
+    "label_regions": lambda s: {"n": 5 * s["h"] * half(s["w"])}, "least_changed_correlation": lambda s: {"m": 2 * s["n"]},
     "lit_blocks": lambda s: {"n": (n := stepped(s) + 1), "m": 2 * n}, "medians_where": lambda s: {"n": 2 * stepped(s)},
     "magnitude_of_share": lambda s: {"n": 2 * -(-s["count"] // s["step"])},
     "means_of_bytes": lambda s: {"h": s["bh"] * s["step"], "w": (w := s["bw"] * s["step"]), "n": 3 * w},
@@ -218,6 +242,7 @@ SIZES = {
     "rest_anchor": lambda s: {"n": max(9 * s["r"] * half(s["k"]) + 5 * s["r"] * s["k"], 4 * s["w"] + s["r"] * s["k"])},
     "slope_budget": lambda s: {"parts": 8, "count": 21},
     "touched_regions": lambda s: {"m": s["h"] * s["w"], "n": 5 * s["h"] * half(s["w"]) + -(-s["h"] * s["w"] // 4)},
+    "slopes_at_rest": lambda s: {"coarse": (c := s["step"] % 3 + 1), "n": 2 * max(stepped(s), stepped({**s, "step": c}))},
     "slopes_over_rest": lambda s: {"n": 3 * s["r"] * s["k"]}, "root_at_pixels": lambda s: {"n": 4 * s["w"]},
 }  # fmt: skip
 
@@ -279,11 +304,13 @@ VALUES = {
     "labels": whole(0, "n"), "count": whole(0, "n"), "last": whole(0, "n"), "leds": real(1, 9),
     **dict.fromkeys(["pairs", "steps", "doublings", "flat"], whole(1, 4)), "back": whole(0, 2), "rounds": whole(1, 5),
     "dark_to": whole(0, 30), "saturated_from": whole(230, 256), "clipped": whole(0, 2), "widened": real(1, 3),
+    "dark": real(0, 50), "bright": real(150, 255),
     "depth_errors rows": ends("h"), "depth_errors columns": cell_ends, "png_rows rows": filtered,
     "irradiance leds": lambda rng, shape, s: rng.uniform(1, 9, shape) * ([1] * 6 + [-0.1] * 3 + [0.3]),
     "ranges": whole(0, 9), "digests": lambda rng, shape, s: rng.integers(-3, 3, shape) * rng.choice([1, 2**60]),
     "scale_weights weights": lambda rng, shape, s: 10 ** rng.uniform(-5, 0, shape) * rng.choice([1, 1e-42, 3e38]),
     "scale_weights anchor": lambda *of: np.maximum(SIGNED(*of), 0), "floor": real(1e-6, 0.1),
+    "slopes_at_rest square": real(0.2, 2), "slopes_at_rest share": real(0, 0.5),
     "contact_outline pressure": lambda rng, shape, s: rng.normal(0, 9, shape).clip(0) * some(rng, (shape[0], 1), s),
     "sure_pressure slopes": real(0.05, 1), "pressure_means slopes": real(0.05, 1),
     "slope_budget light": real(0, 1),

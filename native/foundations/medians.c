@@ -5,10 +5,9 @@
 // the medians are 0.
 EXPORT int medians_where(const float *values, const bool *chosen, int64_t step, float *work, float *medians, ptrdiff_t h,
                          ptrdiff_t w, ptrdiff_t c, ptrdiff_t n) {
-  if (step < 1) return WRONG_SIZE;
-  const ptrdiff_t most = ((h + step - 1) / step) * ((w + step - 1) / step);
+  if (step < 1 || n < 2 * sampled(h, w, step)) return WRONG_SIZE;
+  const ptrdiff_t most = sampled(h, w, step);
   ptrdiff_t count = 0;
-  if (n < 2 * most) return WRONG_SIZE;
   for (ptrdiff_t channel = 0; channel < c; channel++) {
     count = 0;
     for (ptrdiff_t y = 0; y < h; y += step)

@@ -28,7 +28,7 @@ from gelform.image.agreement import (
     touch_in,
     touched_finding,
 )
-from gelform.image.background import PreparedBackground, reference_from_color_change
+from gelform.image.background import PreparedBackground
 from gelform.image.health import DepthLimit, FrameFaults, FrameHealth, check_untouched_image
 from gelform.image.light import FrameLight
 from gelform.image.markers import MarkerFlow, MarkerFollower
@@ -470,13 +470,11 @@ class Reconstructor:
         unseen = either(seen.hidden, seen.clipped.unseen)
         stepped = fixed.stepped(change, direct, unseen, seen.clipped.channels)
         gradients, variance, residual, depth_px = stepped
-        untouched = self.calibration.untouched_change
-        reference = reference_from_color_change(change, gradients, untouched, seen.hidden)
-        at_rest = without_bias(change, gradients, reference, seen.hidden)
+        at_rest, found = without_bias(change, gradients, self.calibration.untouched_change, seen.hidden)
         of_model = None if model_sigma is None else np.ascontiguousarray(model_sigma.max(axis=-1))
         unseen = either(unseen, today.outside)
         slopes = ReadSlopes(gradients, at_rest, unseen, variance, residual, of_model, fixed.outlier, depth_px)
-        return slopes, reference.findings
+        return slopes, found
 
     def result(self, record: FrameRecord) -> Reconstruction:
         """The result of a record: its depth, and the rest on first use; the record goes with the last of it."""

@@ -12,7 +12,6 @@ import pytest
 
 import gelform
 from gelform.errors import CalibrationError
-from gelform.image import agreement
 from gelform.image.agreement import (
     READINGS,
     UNLIKE,
@@ -30,7 +29,6 @@ from gelform.image.agreement import (
 from gelform.image.light import block_means, gain_from_blocks
 from gelform.image.view import View, image_from_frame
 from gelform.sensors.files import read_image
-from kernel_agreement import assert_kernel_agrees
 from made.images import TOUCHED_SHAPE, halved, scene, touched
 
 SETS = ("mini-ball", "digit-ball", "gelslim", "mini-d", "gelslim-dots", "gelsight-ball-deep")
@@ -355,19 +353,6 @@ def test_another_exposure_gives_the_same_depth_of_real_presses(data):
         brighter = np.clip(np.rint(press.image * 1.08), 0, 255).astype(np.uint8)
         plain, other = reconstruct(press.image), reconstruct(brighter)
         assert np.sqrt(np.mean((plain.depth_mm - other.depth_mm) ** 2)) < 0.004
-
-
-def sums_by_numpy(seen, rest, scale, last, *_):
-    scaled = seen * scale
-    distance = np.abs(scaled - rest).sum(axis=1)
-    least = distance <= np.sort(distance)[last]
-    a, b = (values[least].astype(np.float64) for values in (scaled, rest))
-    a, b = a - a.mean(), b - b.mean()
-    return np.array([(a * a).sum(), (b * b).sum(), (a * b).sum()])
-
-
-def test_sums_over_the_least_changed_blocks_are_those_of_numpy():
-    assert_kernel_agrees(agreement._least_changed_sums, sums_by_numpy)
 
 
 def test_slopes_are_less_sure_where_too_few_pixels_tell_the_exposure(calibration, simulated):

@@ -1,11 +1,10 @@
-"""The color change and its inverse; backgrounds from frames; pixels at rest; the dark surround of a gel."""
+"""The color change and its inverse; backgrounds from frames; the dark surround of a gel."""
 
 import cv2
 import numpy as np
 import pytest
 
 from gelform.errors import DataError
-from gelform.foundations.filters import MIN_UNTOUCHED
 from gelform.image import background
 from gelform.image.background import (
     ChangeSettings,
@@ -15,7 +14,6 @@ from gelform.image.background import (
     crop_inside,
     image_from_color_change,
     noise_from_image,
-    reference_from_color_change,
     surround_of,
     trimmed_mean,
 )
@@ -240,67 +238,6 @@ def test_a_trimmed_mean_ignores_a_passing_speck_and_leaves_no_frame_out():
     assert (noise > 2).all()
     with pytest.raises(DataError, match="another exposure"):
         background_from_frames(images)
-
-
-SHAPE_UNTOUCHED = (40, 60)
-
-
-FLAT = np.zeros((*SHAPE_UNTOUCHED, 2), dtype=np.float32)
-
-
-def test_the_common_change_is_that_of_most_pixels():
-    change = np.random.default_rng(0).normal(0.05, 0.01, (*SHAPE_UNTOUCHED, 3)).astype(np.float32)
-    change[:10] += np.array([0.2, -0.2, 0.1], dtype=np.float32)
-    reference = reference_from_color_change(change, FLAT, 0.1)
-    np.testing.assert_allclose(reference.common_change, 0.05, atol=0.02)
-    assert reference.given is None
-    assert reference.findings == ()
-
-
-def test_where_everything_is_touched_the_least_changed_stand_in():
-    ramp = np.linspace(-0.5, 0.5, SHAPE_UNTOUCHED[1], dtype=np.float32)[None, :, None]
-    change = np.broadcast_to(ramp, (*SHAPE_UNTOUCHED, 3)) + np.float32(0.6)
-    reference = reference_from_color_change(change, FLAT, 1e-6)
-    (finding,) = reference.findings
-    assert finding.name == "few_untouched"
-    assert finding.figure < MIN_UNTOUCHED
-    assert finding.message.startswith(f"Only {100 * finding.figure:.1f} % of the pixels are at rest.")
-    assert reference.given.mean() == pytest.approx(MIN_UNTOUCHED, abs=1 / SHAPE_UNTOUCHED[1])
-    assert reference.given[:, 0].all()  # 0.1 is the least change
-
-
-def test_hidden_pixels_have_no_say():
-    """Everything but a corner is touched, and markers hide the corner."""
-    change = np.random.default_rng(2).uniform(-1, 1, (*SHAPE_UNTOUCHED, 3)).astype(np.float32)
-    change[30:, 40:] = 0
-    hidden = np.zeros(SHAPE_UNTOUCHED, dtype=bool)
-    assert reference_from_color_change(change, FLAT, 0.2, hidden).given is None
-    hidden[30:, 40:] = True
-    assert reference_from_color_change(change, FLAT, 0.2, hidden).given is not None
-
-
-@pytest.mark.parametrize("shape", [(40, 60), (41, 61), (480, 640)])
-def test_the_bias_is_the_median_slope_of_the_untouched(shape):
-    gradients = np.random.default_rng(1).normal(0, 0.02, (*shape, 2)).astype(np.float32)
-    gradients += np.array([0.05, -0.03], dtype=np.float32)
-    change = np.zeros((*shape, 3), dtype=np.float32)
-    touched_rows = shape[0] // 3
-    change[:touched_rows], gradients[:touched_rows] = 0.5, 2.0
-    bias = reference_from_color_change(change, gradients, 0.1).bias
-    np.testing.assert_allclose(bias, np.median(gradients[touched_rows:], axis=(0, 1)), atol=2e-3)
-    if shape[0] * shape[1] < 5000:  # no lattice is needed
-        np.testing.assert_allclose(bias, np.median(gradients[touched_rows:], axis=(0, 1)), rtol=1e-6)
-
-
-def test_the_kernel_finds_what_numpy_finds():
-    def near(change, hidden, common, out, square, step):
-        found = np.square(change - common).sum(axis=-1) < square
-        if hidden is not None:
-            found &= ~hidden
-        out[::step, ::step] = found[::step, ::step]
-        return out
-
-    assert_kernel_agrees(background._near_common, near)
 
 
 def lit(shape=(120, 160), level=120.0):

@@ -5,10 +5,26 @@ import numpy as np
 import pytest
 
 import gelform
+from gelform._native import Kernel
 from gelform.image import health as health_module
 from gelform.image.health import DepthLimit, FrameHealth, Levels, Torn
 from kernel_agreement import assert_kernel_agrees
 from made.images import WORN_SHAPE, blocks_of, constant, gel, pressed, with_part
+
+# The steps of `health_of_frame` behind its blocks, each by itself.
+SIGNS = Kernel(
+    "health_signs",
+    "u8[bh,bw,3] means, u8[bh,bw] ranges, i64[h] digests, u8[bh,bw,3] dark_to, u8[bh,bw,3] saturated_from, "
+    "out i32[n] work, out i32[3] signs, i32 flat",
+)
+SEAM = Kernel(
+    "health_seam",
+    "u16[h,n] sums, u16[h,n] rest, out f32[m] work, out f32[h] totals, f32 least, f32 factor, f32 spill",
+)
+BANDS = Kernel(
+    "health_bands",
+    "u16[h,n,3] sums, f32[h,3] gray, f32[h,4] smooth, out f32[h,3] flat, out f32[1] common",
+)
 
 
 @pytest.fixture(scope="module")
@@ -199,7 +215,7 @@ def test_the_signs_of_faults_are_those_of_numpy():
         repeated = len(digests) - len(np.unique(digests))
         return np.array([np.sum(ranges <= flat), ended.sum(), repeated], np.int32)
 
-    assert_kernel_agrees(health_module._signs, counted)
+    assert_kernel_agrees(SIGNS, counted)
 
 
 def test_depth_is_bounded_by_the_gels_thickness_or_else_the_field_of_view():
@@ -270,7 +286,7 @@ def test_the_steps_of_rows_are_those_of_numpy(shape):
     sums, rest = rng.integers(0, 4081, (2, *shape), dtype=np.uint16)
     sums[shape[0] // 2 :] //= 2
     work, totals = np.empty(3 * shape[1], np.float32), np.zeros(shape[0], np.float32)
-    assert_kernel_agrees(health_module._seam, without_the_step, sums, rest, work, totals, 8.0, 3.0, 0.1)
+    assert_kernel_agrees(SEAM, without_the_step, sums, rest, work, totals, 8.0, 3.0, 0.1)
 
 
 def test_blocks_are_of_levels_rounded_as_a_camera_would_and_reach_the_border():
@@ -372,4 +388,19 @@ def test_what_thirds_have_in_common_is_that_of_numpy():
         products = (change.T @ change)[[0, 1, 2], [1, 2, 0]] / len(sums)
         return change, np.array([products.min()])
 
-    assert_kernel_agrees(health_module._bands, in_thirds)
+    assert_kernel_agrees(BANDS, in_thirds)
+
+
+def test_the_signs_of_a_frame_are_those_of_its_steps():
+    def by_steps(image, dark_to, saturated_from, rest, gray, smooth, *out_and_numbers):
+        *blocks, _, _, flat, _, _, _ = out_and_numbers
+        means, ranges, digests, sums = blocks
+        health_module._blocks(image, *blocks)
+        counts, common = np.empty(3, np.int32), np.full(1, np.inf, np.float32)
+        places = np.empty(1 << len(image).bit_length(), np.int32)
+        SIGNS(means, ranges, digests, dark_to, saturated_from, places, counts, flat)
+        if gray is not None and smooth is not None:
+            BANDS(sums, gray, smooth, np.empty_like(gray), common)
+        return *blocks, np.array([*counts, common[0]])
+
+    assert_kernel_agrees(health_module._health, by_steps)

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
 import gelform
+from gelform._native import Kernel
 from gelform.errors import CalibrationError
 from gelform.image import light
 from gelform.image.background import ChangeSettings, PreparedBackground
@@ -30,6 +31,11 @@ from gelform.simulate import Ball, simulate_background, simulate_press
 from kernel_agreement import assert_kernel_agrees
 
 pytestmark = pytest.mark.linear_algebra
+LIT_BLOCKS = Kernel(  # a step of `gain_of_blocks`
+    "lit_blocks",
+    "f32[h,w,3] blocks, f32[h,w,3] untouched, i64 step, f32 dark, f32 bright, out f32[8,n] lit, out f32[3] medians, "
+    "out f32[m] work",
+)
 
 
 @pytest.fixture(scope="module")
@@ -307,7 +313,7 @@ def test_lit_blocks_agree_with_numpy(shape, step):
     size = blocks[::step, ::step, 0].size + 1
     out = np.zeros((8, size), np.float32), np.zeros(3, np.float32), np.empty(2 * size, np.float32)
     asked = step, 20.0, 240.0, *out
-    count = light._lit_blocks(blocks, untouched, *asked)
+    count = LIT_BLOCKS(blocks, untouched, *asked)
     lit, medians = lit_by_numpy(blocks, untouched, *asked)
     assert count == np.count_nonzero(lit[0])
     assert 0 < count < size - (shape != (1, 1))
@@ -315,7 +321,7 @@ def test_lit_blocks_agree_with_numpy(shape, step):
     np.testing.assert_allclose(out[1], medians, rtol=1e-6)
     # What a block leaves behind the last lit one counts no more: of one that is lit to the end there is none.
     whole = np.clip(blocks, 30, 200), np.clip(untouched, 30, 200)
-    assert_kernel_agrees(light._lit_blocks, lit_by_numpy, *whole, *asked)
+    assert_kernel_agrees(LIT_BLOCKS, lit_by_numpy, *whole, *asked)
 
 
 SHAPE = (144, 192)
@@ -413,3 +419,42 @@ def test_what_undoes_a_light_is_its_inverse():
     columns, rows, room = np.split(scale_of_light(image.shape, light), [24, 42])
     undone = (image - room) * columns.reshape(8, 3) * rows.reshape(6, 1, 3)
     np.testing.assert_allclose(undone, without_light(image, light), rtol=1e-5)
+
+
+def correlation_by_numpy(seen, rest, scale, *_):
+    scaled = seen * scale
+    distance = np.abs(scaled - rest).sum(axis=1)
+    least = distance <= np.sort(distance)[len(distance) // 2]
+    a, b = (values[least].astype(np.float64) for values in (scaled, rest))
+    if b.std() < 0.01:
+        return np.array([np.nan])
+    return np.array([np.corrcoef(a.ravel(), b.ravel())[0, 1] if a.std() >= 0.01 else 0])
+
+
+def test_the_correlation_over_the_least_changed_blocks_is_that_of_numpy():
+    assert_kernel_agrees(light._correlation, correlation_by_numpy)
+    seen, rest = np.random.default_rng(2).uniform(20, 200, (2, 40, 3)).astype(np.float32)
+    for pair in ((seen, np.full_like(rest, 90)), (np.full_like(seen, 90), rest)):
+        given = np.ones(3, np.float32), np.empty(80, np.float32), np.zeros(1)
+        assert_kernel_agrees(light._correlation, correlation_by_numpy, *pair, *given)
+
+
+def test_the_gain_of_blocks_is_that_of_its_steps():
+    def by_steps(image, blocks, untouched, prior, is_free, widened, *out_and_numbers):
+        lit, values, normal, far, figures, beside, work, step, dark, bright, *of_fit = out_and_numbers
+        if image is not None:
+            block = len(image) // len(blocks)
+            light._means_of_bytes(image, block, np.empty(3 * image.shape[1], np.uint16), blocks)
+        medians = np.empty(3, np.float32)
+        count = LIT_BLOCKS(blocks, untouched, step, dark, bright, lit, medians, work)
+        values[:] = 0
+        values[:, 0] = np.log(medians.astype(float))
+        light._fit_light(lit, count, prior, is_free, widened, values, normal, far, figures, work, *of_fit)
+        order, gain = np.sort(far[:count]), np.exp(-values[:, 0]).astype(np.float32)
+        pairs = (one.reshape(-1, 3) for one in (blocks, untouched))
+        light._correlation(*pairs, gain, work, beside[3:])
+        beside[:2] = order[[count // 4, count // 2]] if count else np.nan
+        beside[2] = normal[:, 0, 0].min()
+        return blocks, lit, values, normal, far, figures, beside
+
+    assert_kernel_agrees(light._gain_of_blocks, by_steps)

@@ -11,7 +11,8 @@ import pytest
 import edges_of_cube
 import gelform
 from gelform.calibration.starters import load_starter
-from gelform.image.background import ChangeSettings, PreparedBackground, Reference, gain_from_background
+from gelform.foundations.filters import MIN_UNTOUCHED
+from gelform.image.background import ChangeSettings, PreparedBackground, gain_from_background
 from gelform.result.metrics import ball_gradients
 from gelform.simulate import Ball, BoxEdge, Placed, Several, simulate_press
 from gelform.slopes import budget
@@ -45,7 +46,6 @@ LAW = SlopeSigma(
 )  # fmt: skip
 CHANGE = ChangeSettings(blur_px=1.25)  # compared with slopes 2 px away
 GRAY = np.full((*SHAPE, 3), 100, np.float32)
-NOTHING = Reference(np.zeros(3, np.float32), 0.0, np.zeros(2, np.float32), None, ())  # no pixel is at rest
 
 
 def slopes_of(size=0.0, at_rest=False, **more):
@@ -184,15 +184,14 @@ def test_two_sigma_of_another_unit_s_slopes_reach_the_steepest_face():
 
 def test_the_bias_is_subtracted_and_hidden_pixels_are_left_out():
     gradients = np.full((3, 4, 2), 0.25, dtype=np.float32)
-    reference = NOTHING._replace(bias=np.array([0.25, 0.5], np.float32), threshold=0.1)
     hidden = np.zeros((3, 4), dtype=bool)
     hidden[1, 2] = True
-    at_rest = without_bias(np.zeros((3, 4, 3), np.float32), gradients, reference, hidden)
-    np.testing.assert_array_equal(gradients, np.broadcast_to(np.float32([0, -0.25]), (3, 4, 2)))
+    gradients[hidden] = 1
+    at_rest, findings = without_bias(np.zeros((3, 4, 3), np.float32), gradients, 0.1, hidden)
+    np.testing.assert_array_equal(gradients[~hidden], 0)
+    np.testing.assert_array_equal(gradients[hidden], 0.75)
     np.testing.assert_array_equal(at_rest, ~hidden)
-    given = np.eye(3, 4, dtype=bool)
-    found = without_bias(np.zeros((3, 4, 3), np.float32), gradients, reference._replace(given=given), hidden)
-    np.testing.assert_array_equal(found, given)
+    assert findings == ()
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e16])
@@ -201,12 +200,80 @@ def test_slopes_that_no_sum_can_hold_are_refused(wrong, component):
     gradients = np.zeros((5, 31, 2), np.float32)
     gradients[4, 30, component] = wrong
     with pytest.raises(ValueError, match="Expected slopes up to 1e"):
-        without_bias(np.zeros((5, 31, 3), np.float32), gradients, NOTHING)
+        without_bias(np.zeros((5, 31, 3), np.float32), gradients, 0.1)
 
 
-def numpy_at_rest(change, hidden, given, common, bias, gradients, at_rest, square, highest):
-    near = (((change - common) ** 2).sum(axis=-1) < square) & (True if hidden is None else ~hidden)
-    return gradients - bias, near if given is None else given
+UNTOUCHED = (40, 60)
+
+
+def untouched_in(change, threshold, hidden=None):
+    """`without_bias` where no slope is."""
+    return without_bias(change, np.zeros((*UNTOUCHED, 2), np.float32), threshold, hidden)
+
+
+def test_pixels_at_rest_have_the_change_of_most():
+    change = np.random.default_rng(0).normal(0.05, 0.01, (*UNTOUCHED, 3)).astype(np.float32)
+    change[:10] += np.array([0.2, -0.2, 0.1], dtype=np.float32)
+    at_rest, findings = untouched_in(change, 0.08)
+    np.testing.assert_array_equal(at_rest, np.broadcast_to(np.arange(40)[:, None] >= 10, UNTOUCHED))
+    assert findings == ()
+
+
+def test_where_everything_is_touched_the_least_changed_stand_in():
+    ramp = np.linspace(-0.5, 0.5, UNTOUCHED[1], dtype=np.float32)[None, :, None]
+    change = np.broadcast_to(ramp, (*UNTOUCHED, 3)) + np.float32(0.6)
+    at_rest, (finding,) = untouched_in(change, 1e-6)
+    assert finding.name == "few_untouched"
+    assert finding.figure < MIN_UNTOUCHED
+    assert finding.message.startswith(f"Only {100 * finding.figure:.1f} % of the pixels are at rest.")
+    assert at_rest.mean() == pytest.approx(MIN_UNTOUCHED, abs=1 / UNTOUCHED[1])
+    assert at_rest[:, 0].all()  # 0.1 is the least change
+    gradients = np.random.default_rng(1).normal(0, 1, (*UNTOUCHED, 2)).astype(np.float32)
+    without = gradients.copy()
+    without_bias(change, without, 1e-6)
+    bias = np.broadcast_to(np.median(gradients[at_rest], axis=0), gradients.shape)
+    np.testing.assert_allclose(gradients - without, bias, atol=1e-6)
+
+
+def test_hidden_pixels_have_no_say():
+    """Everything but a corner is touched, and markers hide the corner."""
+    change = np.random.default_rng(2).uniform(-1, 1, (*UNTOUCHED, 3)).astype(np.float32)
+    change[30:, 40:] = 0
+    hidden = np.zeros(UNTOUCHED, dtype=bool)
+    assert untouched_in(change, 0.2, hidden)[1] == ()
+    hidden[30:, 40:] = True
+    assert untouched_in(change, 0.2, hidden)[1] != ()
+
+
+@pytest.mark.parametrize("shape", [(40, 60), (41, 61), (480, 640)])
+def test_the_bias_is_the_median_slope_of_the_untouched(shape):
+    gradients = np.random.default_rng(1).normal(0, 0.02, (*shape, 2)).astype(np.float32)
+    gradients += np.array([0.05, -0.03], dtype=np.float32)
+    change = np.zeros((*shape, 3), dtype=np.float32)
+    touched_rows = shape[0] // 3
+    change[:touched_rows], gradients[:touched_rows] = 0.5, 2.0
+    without = gradients.copy()
+    without_bias(change, without, 0.1)
+    bias = (gradients - without)[-1, -1]
+    np.testing.assert_allclose(bias, np.median(gradients[touched_rows:], axis=(0, 1)), atol=2e-3)
+    if shape[0] * shape[1] < 5000:  # no lattice is needed
+        np.testing.assert_allclose(bias, np.median(gradients[touched_rows:], axis=(0, 1)), rtol=1e-6)
+
+
+def numpy_at_rest(
+    change, hidden, given, gradients, at_rest, refused, work, square, highest, share, coarse, step
+):
+    if given is None:
+        near = np.square(change - np.median(change[::coarse, ::coarse], axis=(0, 1))).sum(axis=-1) < square
+        near &= True if hidden is None else ~hidden
+        if near[::step, ::step].mean() < share:
+            at_rest[::step, ::step] = near[::step, ::step]
+            return gradients, at_rest, np.zeros(1)
+    else:
+        near = given
+    chosen = gradients[::step, ::step][near[::step, ::step]]
+    without = gradients - (np.median(chosen, axis=0) if len(chosen) else 0)
+    return without, near, np.array([np.any(np.abs(without) > highest, axis=-1).sum()])
 
 
 def numpy_weights(residual, of_model, unseen, weight, outlier, unknown, full, least):

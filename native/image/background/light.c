@@ -1,4 +1,4 @@
-// A light, exp(L(x, y)) B + r, fitted to blocks of an image by Gauss-Newton, with touched blocks as outliers.
+// A light, exp(L(x, y)) B + r, fitted to blocks of an image by Gauss-Newton, with touched blocks as outliers; then the likeness in it.
 #include "../../select.h"
 
 enum { CHANNELS = 3, TERMS = 4 };  // a channel's gain, its tilts along x and y, its room light
@@ -32,7 +32,7 @@ static float place(ptrdiff_t k, ptrdiff_t n) { return (float)(2 * k + 1) / (floa
 EXPORT int lit_blocks(const float *blocks, const float *untouched, int64_t step, float dark, float bright, float *lit,
                       float *medians, float *work, ptrdiff_t h, ptrdiff_t w, ptrdiff_t n, ptrdiff_t m) {
   ptrdiff_t count = 0;
-  if (step < 1 || n <= ((h + step - 1) / step) * ((w + step - 1) / step) || m < 2 * n) return WRONG_SIZE;
+  if (step < 1 || n <= sampled(h, w, step) || m < 2 * n) return WRONG_SIZE;
   for (ptrdiff_t y = 0; y < h; y += step)
     for (ptrdiff_t x = 0; x < w; x += step) {  // what a block leaves is overwritten unless it is lit
       const float *image = blocks + 3 * (y * w + x), *rest = untouched + 3 * (y * w + x);
@@ -223,4 +223,60 @@ EXPORT int fit_light(const float *lit, int64_t count, const double *prior, const
     figures[0] = sigma;
   }
   return OK;
+}
+
+// Correlation over both sets of blocks, channels together, of seen, scaled, with untouched: over the half that changed least. NaN if
+// the untouched blocks are featureless; 0 if only the seen ones are.
+EXPORT int least_changed_correlation(const float *seen, const float *untouched, const float *scale, float *work, double *correlation,
+                                     ptrdiff_t n, ptrdiff_t m) {
+  if (n < 1 || m < 2 * n) return WRONG_SIZE;
+  for (ptrdiff_t k = 0; k < n; k++) {
+    work[k] = 0;
+    for (int c = 0; c < 3; c++) work[k] += fabsf(seen[3 * k + c] * scale[c] - untouched[3 * k + c]);
+  }
+  const float farthest = kth_smallest(work, n, n / 2, (uint32_t *)(work + n));
+  double mean_a = 0, mean_b = 0, count = 0, of_seen = 0, of_untouched = 0, of_both = 0;
+  for (ptrdiff_t k = 0; k < n; k++) {
+    if (work[k] > farthest) continue;
+    for (int c = 0; c < 3; c++) mean_a += seen[3 * k + c] * scale[c], mean_b += untouched[3 * k + c];
+    count += 3;
+  }
+  mean_a /= count, mean_b /= count;
+  for (ptrdiff_t k = 0; k < n; k++) {
+    if (work[k] > farthest) continue;
+    for (int c = 0; c < 3; c++) {
+      const double a = seen[3 * k + c] * scale[c] - mean_a, b = untouched[3 * k + c] - mean_b;
+      of_seen += a * a, of_untouched += b * b, of_both += a * b;
+    }
+  }
+  const double least = 1e-4 * count;
+  *correlation = of_untouched < least ? NAN : of_seen < least ? 0 : of_both / sqrt(of_seen * of_untouched);
+  return OK;
+}
+
+// The light as a gain alone, from the blocks' median ratio, in one call with what precedes and follows it. `image`: its means go to
+// `blocks` first; NULL: they are given. `beside`: the change that a quarter and a half of the lit blocks exceed not, of the channel
+// that changed most; the least inverse variance of a channel's gain; the correlation without the gain. Returns how many are lit.
+EXPORT int gain_of_blocks(const uint8_t *image, float *blocks, const float *untouched, const double *prior, const bool *is_free,
+                          const double *widened, float *lit, double *values, double *normal, float *farthest, double *figures,
+                          double *beside, float *work, int64_t step, float dark, float bright, double sigma, double least, double most,
+                          double wide, double alike, float offset, ptrdiff_t h, ptrdiff_t w, ptrdiff_t bh, ptrdiff_t bw,
+                          ptrdiff_t rounds, ptrdiff_t n, ptrdiff_t m) {
+  float medians[CHANNELS], scale[CHANNELS];
+  if (bh < 1 || 2 * m < 3 * w) return WRONG_SIZE;
+  if (image != NULL && means_of_bytes(image, h / bh, (uint16_t *)work, blocks, h, w, 3 * w, bh, bw) != OK) return WRONG_SIZE;
+  const int count = lit_blocks(blocks, untouched, step, dark, bright, lit, medians, work, bh, bw, n, m);
+  if (count < 0) return WRONG_SIZE;
+  for (int i = 0; i < CHANNELS * TERMS; i++) values[i] = i % TERMS == 0 ? logarithm_of((double)medians[i / TERMS]) : 0;
+  if (fit_light(lit, count, prior, is_free, widened, values, normal, farthest, figures, work, sigma, least, most, wide, alike, offset, n,
+                rounds, m) != OK)
+    return WRONG_SIZE;
+  beside[2] = INFINITY;
+  for (int k = 0; k < 2; k++) beside[k] = count > 0 ? (double)kth_smallest(farthest, count, count / (k == 0 ? 4 : 2), (uint32_t *)work) : NAN;
+  for (int c = 0; c < CHANNELS; c++) {
+    const double information = normal[c * TERMS * TERMS];
+    beside[2] = information < beside[2] ? information : beside[2];
+    scale[c] = exponential((float)-values[c * TERMS]);
+  }
+  return least_changed_correlation(blocks, untouched, scale, work, beside + 3, bh * bw, m) == OK ? count : WRONG_SIZE;
 }

@@ -1,5 +1,5 @@
 // Measures a frame in one pass: its 16x16 blocks, a digest of each row, and the sums of each row's pieces of 16 pixels.
-#include "../../common.h"
+#include "steps.h"
 
 enum { BLOCK = 16, WIDE = 3 * BLOCK };  // pixels; bytes across a block
 enum { STRIP = 4 * WIDE };             // as wide as vectors like it

@@ -1,5 +1,5 @@
 // The row below which a frame belongs to another moment: there alone, its change from rest steps from one row to the next.
-#include "../../common.h"
+#include "steps.h"
 
 // Twice the step of the change from rest at one place that the rows around it do not explain: between the lines through
 // the two rows on either side, of one slope. A step of 1 from one row to the next gives 2 there and -1 at the rows beside it.

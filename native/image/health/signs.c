@@ -1,5 +1,5 @@
 // A first check of a frame's blocks and rows: whether any fault is possible at all.
-#include "../../common.h"
+#include "steps.h"
 
 // Number of n > 0 digests that equal an earlier one. `places`: scratch, a power of two of more than n of them.
 static int32_t repeated(const int64_t *restrict digests, int32_t *restrict places, ptrdiff_t n, ptrdiff_t size) {

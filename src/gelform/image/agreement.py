@@ -18,8 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gelform._native import Kernel
-from gelform.arrays import Array, Map, Mask, Numbers
+from gelform.arrays import Array, Image, Map, Mask, Numbers
 from gelform.errors import CalibrationError, Finding
 from gelform.foundations.checks import check_image
 from gelform.foundations.filters import CHANGE_OFFSET
@@ -33,7 +32,6 @@ from gelform.image.light import (
     block_means,
     gain_from_blocks,
     light_from_blocks,
-    without_light,
 )
 from gelform.image.markers import MarkerFollower
 from gelform.image.view import BRIGHT, DARK, pixels_digest, scale_of
@@ -296,11 +294,6 @@ OWN_CALIBRATION = (
     "gel or lights have moved, so calibrate again."
 )
 
-_least_changed_sums = Kernel(
-    "least_changed_sums",
-    "f32[n,3] seen, f32[n,3] untouched, f32[3] scale, i64 last, out f32[m] work, out f64[3] sums",
-)
-
 
 def check_own_background(background: Array, calibrated: Array) -> tuple[Finding, ...]:
     """Refuse a background image that is clearly not of the calibrated sensor; return findings.
@@ -363,15 +356,19 @@ def background_digest(background: Array) -> str:
 
 
 def compared(
-    image: Map, untouched: Map, usual: FrameLight | None = None, own: bool = False
+    image: Map,
+    untouched: Map,
+    usual: FrameLight | None = None,
+    pixels: Image | None = None,
+    own: bool = False,
 ) -> tuple[FrameLight, tuple[Finding, ...]]:
-    """Light and findings of an image compared with the background image, both from `block_means`, as `light_from_blocks`.
+    """Light and findings of an image compared with the background image, with the arguments of `light_from_blocks`.
 
     Where nothing touches, the image should be the background times a gain near 1. CalibrationError: the image is mirrored,
     turned or BGR, a channel's gain is outside 0.7-1.4, or the correlation is under 0.8; the message has the figure.
     `own`: the image is today's background, and `untouched` the calibration's; the error then blames the calibration.
     """
-    light = light_from_blocks(image, untouched, usual)
+    light = light_from_blocks(image, untouched, usual, pixels)
     if light.least_change > UNLIKE:
         if np.ptp(image, axis=-1).max() == 0 < np.ptp(untouched, axis=-1).max():
             raise CalibrationError(
@@ -379,7 +376,7 @@ def compared(
                 "are read from colors, so read the camera's frames in color."
             )
         check_upright(orientation_from_blocks(image, untouched))
-    _refuse_unlike(light, _correlation(image, untouched, light), own)
+    _refuse_unlike(light, own)
     findings = [*_exposure_findings(light), *room_light_finding(light)]
     tilted = not light.is_plain and _sure(light.tilt, light.covariance[:, [1, 2], [1, 2]], GAIN_REPORTED)
     if tilt := abs(tilted):
@@ -389,7 +386,7 @@ def compared(
         )
         findings.append(Finding("tilted_light", message, tilt))
     # The light of another unit of the make is not far from a tilt.
-    least = light.least_pattern if light.tilt.any() else light.least_change
+    least = light.least_pattern if not light.is_plain and light.tilt.any() else light.least_change
     if UNLIKE < least < inf:
         message = (
             f"Even the quarter of the image that changed least differs from the background by {100 * least:.1f} %. Either a "
@@ -428,7 +425,7 @@ def check_upright(orientation: Orientation | None) -> None:
         )
 
 
-def _refuse_unlike(light: FrameLight, correlation: float | None, own: bool) -> None:
+def _refuse_unlike(light: FrameLight, own: bool) -> None:
     what, than = (
         (OTHER_SENSOR, "the calibration's")
         if own
@@ -445,10 +442,10 @@ def _refuse_unlike(light: FrameLight, correlation: float | None, own: bool) -> N
             f"{what}: pixels at rest are {_times(light.gain)} times as bright as in {than} "
             f"(expected {RATIO_REFUSE}-{1 / RATIO_REFUSE:.2g}). {remedy}"
         )
-    if correlation is not None and correlation < CORRELATION_REFUSE:
+    if light.correlation < CORRELATION_REFUSE:
         raise CalibrationError(
-            f"{what}: the two correlate by {correlation:.2f} on pixels at rest (expected {CORRELATION_REFUSE} or more). "
-            + (OWN_CALIBRATION if own else "Is it of another sensor, or shifted?")
+            f"{what}: the two correlate by {light.correlation:.2f} on pixels at rest (expected {CORRELATION_REFUSE} or more)"
+            ". " + (OWN_CALIBRATION if own else "Is it of another sensor, or shifted?")
         )
 
 
@@ -458,10 +455,12 @@ def room_light_finding(light: FrameLight) -> tuple[Finding, ...]:
     The sensor's own light multiplies the background image. Light from outside is added to it, in dark places too.
     """
     room = 0.0 if light.is_plain else _sure(light.room, light.covariance[:, 3, 3], ROOM_REPORTED)
+    if not room:
+        return ()
     message = (
         f"Room light changes the colors by up to {room:+.0f} gray levels. gelform removes it. Shade the gel."
     )
-    return (Finding("room_light", message, room),) if room else ()
+    return (Finding("room_light", message, room),)
 
 
 def _sure(values: Numbers, variances: Numbers, least: float) -> float:
@@ -498,22 +497,3 @@ def _exposure_findings(
 
 def _times(gain: Numbers) -> str:
     return ", ".join(f"{name} {value:.2f}" for name, value in zip("RGB", gain))
-
-
-def _correlation(image: Map, untouched: Map, light: FrameLight) -> float | None:
-    """Correlation, without the light, over the half of the blocks that changed least, channels together.
-
-    None if the background image is featureless, so that nothing can correlate with it. 0 if only the image is featureless.
-    """
-    blocks = image.size // 3
-    if light.is_plain:
-        scale = (1 / light.gain).astype(np.float32)
-    else:
-        image, scale = without_light(image, light.values), np.ones(3, dtype=np.float32)
-    last = blocks // 2
-    sums, work = np.empty(3), np.empty(2 * blocks, dtype=np.float32)
-    count = _least_changed_sums(image.reshape(-1, 3), untouched.reshape(-1, 3), scale, last, work, sums)
-    of_image, of_untouched, of_both = sums.tolist()
-    if of_untouched < 1e-4 * count:
-        return None
-    return of_both / (of_image * of_untouched) ** 0.5 if of_image >= 1e-4 * count else 0.0

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gelform._native import Kernel
-from gelform.arrays import MIB, Array, Map, Mask, Numbers, Slopes
+from gelform.arrays import MIB, Array, Map, Mask, Numbers
 from gelform.errors import DataError, Finding
 from gelform.foundations.checks import (
     check_image,
@@ -24,16 +24,13 @@ from gelform.foundations.checks import (
 from gelform.foundations.filters import (
     CHANGE_OFFSET,
     LANES,
-    MIN_UNTOUCHED,
     SIGMA_OF_MEDIAN,
     blur_taps,
     fill_unknown,
-    lattice_step,
-    medians_where,
 )
 from gelform.foundations.information import check_condition
 from gelform.image.agreement import check_own_background, compared, touch_in
-from gelform.image.light import FrameLight, block_means, scale_of_light, without_light
+from gelform.image.light import FrameLight, block_means, block_means_later, scale_of_light, without_light
 from gelform.image.view import DARK
 
 Matrix = tuple[tuple[float, ...], ...]
@@ -156,7 +153,8 @@ class PreparedBackground:
 
         CalibrationError: as `agreement.compared`.
         """
-        return compared(block_means(image), self._blocks, self._usual)
+        blocks, pixels = block_means_later(image)
+        return compared(blocks, self._blocks, self._usual, pixels)
 
     def bridged(self, image: Array, hidden: Mask) -> Array:
         """The image (H, W, 3) with hidden pixels (H, W), such as markers, filled by the color change around them.
@@ -195,7 +193,7 @@ class PreparedBackground:
         values, response = np.zeros((3, 4)) if of_frame is None else of_frame.values, self.settings.response
         # The light belongs to the camera's channels, so it acts before response and crosstalk are removed. Factors may wait.
         waits = self.settings.crosstalk is None and (response == 1 or not values[:, 3].any())
-        if values.any() and not waits:
+        if not waits and values.any():
             image, values = without_light(image, values), np.zeros((3, 4))
         image = linear_light(image, self.settings)
         is_bytes = image.dtype == np.uint8
@@ -398,51 +396,6 @@ def trimmed_mean(images: Sequence[Array]) -> tuple[Map, Numbers]:
     variance = np.sort(np.concatenate(variances), axis=0)
     # One pixel in a hundred may flicker, such as a fiber or an edge that trembles.
     return average, np.sqrt(variance[: max(1, int(0.99 * len(variance)))].mean(axis=0))
-
-
-EXPOSURE_STEP_PX = 8  # px, lattice step for the common change
-
-_near_common = Kernel(
-    "near_common",
-    "f32[h,w,3] change, bool[h,w]? hidden, f32[3] common, out bool[h,w] near, f32 square, i64 step",
-)
-
-
-class Reference(NamedTuple):
-    """The common properties of the pixels at rest."""
-
-    # (3,) float32, the color change of most pixels; an exposure step changes all pixels alike
-    common_change: Map
-    threshold: float  # a pixel whose color change differs from it by less is at rest
-    bias: Map  # (2,) float32, median slope of the pixels at rest; colors that drifted everywhere are no slope
-    # (H, W) bool, the pixels that changed least, if the threshold leaves too few pixels at rest; else None
-    given: Mask | None
-    findings: tuple[Finding, ...]  # one, if the threshold leaves too few
-
-
-def reference_from_color_change(
-    color_change: Map, gradients: Slopes, threshold: float, hidden: Mask | None = None
-) -> Reference:
-    """The common properties of the pixels at rest of a frame, from a lattice of some 5000 pixels.
-
-    A pixel of the color change (H, W, 3) is at rest if it changed by less than the threshold, unless a marker hides it
-    (H, W). The gradients (H, W, 2) are from the color model.
-    """
-    common = medians_where(color_change, step=EXPOSURE_STEP_PX)[0]
-    height, width = gradients.shape[:2]
-    step = lattice_step(height * width)
-    near = np.zeros((height, width), dtype=bool)
-    count = _near_common(color_change, hidden, common, near, threshold**2, step)
-    fraction = count / (-(-height // step) * -(-width // step))
-    if fraction >= MIN_UNTOUCHED:
-        return Reference(common, threshold, medians_where(gradients, near, step)[0], None, ())
-    size = np.linalg.norm(color_change, axis=-1)
-    least = size <= np.quantile(size, MIN_UNTOUCHED)
-    message = (
-        f"Only {100 * fraction:.1f} % of the pixels are at rest. Depth is relative to the least changed ones."
-    )
-    finding = Finding("few_untouched", message, fraction)
-    return Reference(common, threshold, medians_where(gradients, least)[0], least, (finding,))
 
 
 def surround_of(background: Array) -> Mask | None:

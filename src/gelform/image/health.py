@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
+from typing import Any
 
 import cv2
 import numpy as np
@@ -47,16 +48,17 @@ class ImageBlocks:
 
 def blocks_from_image(image: Image) -> ImageBlocks:
     """The blocks of an image (H, W, 3)."""
+    arrays = _block_arrays(image)
+    _blocks(image, *arrays)
+    return ImageBlocks(*arrays)
+
+
+def _block_arrays(image: Image) -> tuple[Any, ...]:
+    """The arrays of an image's blocks, unset."""
     height, width = image.shape[:2]
-    shape = height // BLOCK_PX, width // BLOCK_PX
-    blocks = ImageBlocks(
-        np.empty((*shape, 3), np.uint8),
-        np.empty(shape, np.uint8),
-        np.empty(height, np.int64),
-        np.empty((height, shape[1], 3), np.uint16),
-    )
-    _blocks(image, blocks.means, blocks.ranges, blocks.row_digests, blocks.row_sums)
-    return blocks
+    rows, columns = height // BLOCK_PX, width // BLOCK_PX
+    means, ranges = np.empty((rows, columns, 3), np.uint8), np.empty((rows, columns), np.uint8)
+    return means, ranges, np.empty(height, np.int64), np.empty((height, columns, 3), np.uint16)
 
 
 # Gray levels of the background image's block: from LIT on it can be too dark, below BELOW saturated.
@@ -122,10 +124,10 @@ class Torn:
         # Rows that occur only once in the background image.
         self._own_rows = count.ravel()[place.ravel()] == 1
 
-    def __call__(self, blocks: ImageBlocks, image: Array) -> Mask | None:
-        """Pixels (H, W) that did not arrive; None if all did."""
+    def __call__(self, blocks: ImageBlocks, image: Array, seam: int) -> Mask | None:
+        """Pixels (H, W) that did not arrive; None if all did. Below the row `seam` is another moment; 0: no such row."""
         flat, repeated = self.flat(blocks), self.repeated_rows(blocks, image)
-        row = self.seam(blocks) if flat is None and repeated is None else 0
+        row = seam if flat is None and repeated is None else 0
         if flat is None and repeated is None and not row:
             return None
         torn = np.zeros(image.shape[:2], dtype=bool) if flat is None else blocks.pixels(flat, image.shape[1])
@@ -170,37 +172,22 @@ class Torn:
                 repeated[np.delete(rows, int(np.argmin(away)))] = True
         return repeated if np.count_nonzero(repeated) > least else None
 
-    def seam(self, blocks: ImageBlocks) -> int:
-        """The row below which everything belongs to another moment; 0 if there is none.
 
-        There the change from the background image steps from one row to the next, further than at any other row. An
-        object's edge, even one along the rows, is blurred over several rows, and markers and compression step at many.
+# A seam is a row below which everything belongs to another moment. There the change from the background image steps from
+# one row to the next, further than at any other row. An object's edge, even one along the rows, is blurred over several
+# rows, and markers and compression step at many.
+#
+# The squared step, summed over its row, is 3 times that of any other row or more: real frames of twelve sensors reach 2.3,
+# with dots, ridges and compression. At most an eighth of it is in the rows beside it: an edge that optics blur by 0.6 px
+# leaves 0.16. The usual step of 16 pixels' mean counts as 0.25 gray levels at least; whole levels alone give 0.16. The
+# kernel counts twice the step of their sum.
+SEAM_FACTOR, SEAM_SPILL, LEAST_STEP = 3.0, 0.125, 2 * BLOCK_PX * 0.25
 
-        The squared step, summed over its row, is 3 times that of any other row or more: real frames of twelve sensors reach
-        2.3, with dots, ridges and compression. At most an eighth of it is in the rows beside it: an edge that optics blur by
-        0.6 px leaves 0.16. The usual step of 16 pixels' mean counts as 0.25 gray levels at least; whole levels alone give
-        0.16.
-        """
-        sums = blocks.row_sums.reshape(len(blocks.row_sums), -1)
-        work, totals = (np.empty(size, dtype=np.float32) for size in (3 * sums.shape[1], len(sums)))
-        least = 2 * BLOCK_PX * 0.25  # twice the sum of 16 pixels, as the kernel counts
-        return _seam(sums, self._rest_sums, work, totals, least=least, factor=3.0, spill=0.125)
-
-
-_signs = Kernel(
-    "health_signs",
-    "u8[bh,bw,3] means, u8[bh,bw] ranges, i64[h] digests, u8[bh,bw,3] dark_to, u8[bh,bw,3] saturated_from, "
-    "out i32[n] work, out i32[3] signs, i32 flat",
-)
-_seam = Kernel(
-    "health_seam",
-    "u16[h,n] sums, u16[h,n] rest, out f32[m] work, out f32[h] totals, f32 least, f32 factor, f32 spill",
-)
-
-
-_bands = Kernel(
-    "health_bands",
-    "u16[h,n,3] sums, f32[h,3] gray, f32[h,4] smooth, out f32[h,3] flat, out f32[1] common",
+_health = Kernel(
+    "health_of_frame",
+    "u8[h,w,3] image, u8[bh,bw,3] dark_to, u8[bh,bw,3] saturated_from, u16[h,bw,3] rest, f32[h,3]? gray, f32[h,4]? smooth, "
+    "out u8[bh,bw,3] means, out u8[bh,bw] ranges, out i64[h] digests, out u16[h,bw,3] sums, out f64[4] signs, "
+    "out f32[n] work, i32 flat, f32 least, f32 factor, f32 spill",
 )
 
 
@@ -229,15 +216,19 @@ class Bands:
         powers = np.vander(np.linspace(-1, 1, len(self._rest)), 4, increasing=True)
         # There are three strips at least, and more rows than the light's smooth change takes.
         self._can_tell = self._rest.shape[1] >= 3 and powers.shape[0] > powers.shape[1]
+        # What the kernel tells the bands of an image by that is not turned: the first of `_common` of the gray levels.
+        self.known: tuple[Map, Map] | tuple[None, None] = None, None
         if not self._can_tell:
             return
         self._gray = _gray_of_thirds(self._rest)
         self._smooth = np.ascontiguousarray(np.linalg.qr(powers)[0], dtype=np.float32)
+        if not is_turned:
+            self.known = self._gray, self._smooth
 
-    def __call__(self, blocks: ImageBlocks, image: Array) -> tuple[Array, tuple[Finding, ...]]:
+    def __call__(self, blocks: ImageBlocks, image: Array, common: float) -> tuple[Array, tuple[Finding, ...]]:
         """The image (H, W, 3) without bands, and the finding `bands`: amplitude, gray levels."""
         # First the question that costs little: nothing is in common that a camera's own gray levels would show.
-        if not self._can_tell or (not self._is_turned and self._in_thirds(blocks) < 0.5):
+        if not self._can_tell or common < 0.5:
             return image, ()
         rows, rest = self._rows(blocks, image), self._rest
         gray = _gray_of_thirds(rows)
@@ -269,12 +260,6 @@ class Bands:
         along = band[None, :, None] if self._is_turned else band[:, None, None]
         without = image / (1 + along) if multiplies else image - along
         return np.clip(without, 0, 255).astype(np.float32), (Finding("bands", message, float(levels)),)
-
-    def _in_thirds(self, blocks: ImageBlocks) -> float:
-        """The first of `_common` of the gray levels, of an image that is not turned."""
-        flat, common = np.empty_like(self._gray), np.empty(1, np.float32)
-        _bands(blocks.row_sums, self._gray, self._smooth, flat, common)
-        return float(common[0])
 
     def _rows(self, blocks: ImageBlocks, image: Array) -> Map:
         """Gray levels (rows, strips, 3) of the camera's rows, averaged over strips of 16 px."""
@@ -315,21 +300,23 @@ class FrameHealth:
     def __init__(self, background: Array, is_turned: bool = False) -> None:
         self._background = background
         self._pixels = as_levels(background)
-        rest = blocks_from_image(self._pixels)
+        self._rest = rest = blocks_from_image(self._pixels)
         self._bands = Bands(rest, self._pixels, is_turned)
-        self._rest_digests = rest.row_digests
         self._levels = Levels(rest)
         self._torn = Torn(background, rest)
+        rows = len(rest.row_sums)
+        self._work_size = max(3 * rows, rows + 3 * rest.row_sums[0].size)
 
     def __call__(self, image: Array) -> FrameFaults:
         """The faults of an image (H, W, 3), RGB, 0-255, of the background's size."""
-        blocks = blocks_from_image(as_levels(image))
-        if blocks.row_digests[0] == self._rest_digests[0] and np.array_equal(image, self._background):
+        blocks, seam, (flat, ending, repeated, common) = self._signs(as_levels(image))
+        if blocks.row_digests[0] == self._rest.row_digests[0] and np.array_equal(image, self._background):
             message = "The frame equals the background image in every pixel. The camera is frozen, or it is that image."
             return FrameFaults(image, (Finding("frozen", message, 1.0),))
-        if self._is_plainly_sound(blocks):
-            return FrameFaults(*self._bands(blocks, image))
-        torn = self._torn(blocks, image)
+        few_flat, few_repeated = flat <= LEAST_TORN * blocks.ranges.size, repeated <= LEAST_TORN * len(image)
+        if few_flat and few_repeated and not ending and not seam:  # as nearly every frame
+            return FrameFaults(*self._bands(blocks, image, common))
+        torn = self._torn(blocks, image, seam)
         # A whole frame of one color is dark or saturated if the color is an end of the range.
         if torn is not None and torn.mean() > 0.95 and self._levels(blocks)[1] is not None:
             torn = None
@@ -349,20 +336,18 @@ class FrameHealth:
         if clipped is not None:
             lost |= blocks.pixels(clipped, image.shape[1])
         if torn is None and clipped is None:
-            return FrameFaults(*self._bands(blocks, image))
+            return FrameFaults(*self._bands(blocks, image, common))
         return FrameFaults(np.where(lost[..., None], self._pixels, image), (*findings, *levels), lost)
 
-    def _is_plainly_sound(self, blocks: ImageBlocks) -> bool:
-        """Whether the frame shows no sign of a fault: true for nearly every frame, a tenth of the time."""
-        signs, rows = np.empty(3, dtype=np.int32), len(blocks.row_digests)
-        work = np.empty(1 << rows.bit_length(), dtype=np.int32)
-        _signs(
-            blocks.means, blocks.ranges, blocks.row_digests, dark_to=self._levels.dark_to,
-            saturated_from=self._levels.saturated_from, work=work, signs=signs, flat=FLAT_RANGE,
+    def _signs(self, pixels: Image) -> tuple[ImageBlocks, int, list[float]]:
+        """The blocks of an image (H, W, 3), its seam, and the other signs of faults that the kernel names."""
+        blocks, signs = _block_arrays(pixels), np.empty(4)
+        seam = _health(
+            pixels, self._levels.dark_to, self._levels.saturated_from, self._rest.row_sums, *self._bands.known, *blocks,
+            signs, np.empty(self._work_size, np.float32), flat=FLAT_RANGE, least=LEAST_STEP, factor=SEAM_FACTOR,
+            spill=SEAM_SPILL,
         )  # fmt: skip
-        flat, ending, repeated = signs.tolist()
-        few_flat, few_repeated = flat <= LEAST_TORN * blocks.ranges.size, repeated <= LEAST_TORN * rows
-        return few_flat and few_repeated and not ending and not self._torn.seam(blocks)
+        return ImageBlocks(*blocks), seam, signs.tolist()
 
 
 def check_untouched_image(image: Array, calibrated: Array) -> None:

@@ -16,8 +16,9 @@ import cv2
 import numpy as np
 
 from gelform._native import Kernel
-from gelform.arrays import Array, Map, Mask, Numbers
+from gelform.arrays import Array, Image, Map, Mask, Numbers
 from gelform.foundations.filters import CHANGE_OFFSET
+from gelform.foundations.pool import once
 from gelform.image.view import BRIGHT, DARK
 
 EVERY = 2  # one of so many rows and columns of blocks is used; neighbors share their errors
@@ -43,10 +44,12 @@ GAIN, WITH_ROOM, TILTED, BOTH = (
 _means_of_bytes = Kernel(
     "means_of_bytes", "u8[h,w,3] image, i64 step, out u16[n] work, out f32[bh,bw,3] means"
 )
-_lit_blocks = Kernel(
-    "lit_blocks",
-    "f32[h,w,3] blocks, f32[h,w,3] untouched, i64 step, f32 dark, f32 bright, out f32[8,n] lit, out f32[3] medians, "
-    "out f32[m] work",
+_gain_of_blocks = Kernel(
+    "gain_of_blocks",
+    "u8[h,w,3]? image, out f32[bh,bw,3] blocks, f32[bh,bw,3] untouched, f64[4] prior, bool[4] is_free, f64[rounds] widened, "
+    "out f32[8,n] lit, out f64[3,4] values, out f64[3,4,4] normal, out f32[n] farthest, out f64[5] figures, "
+    "out f64[4] beside, out f32[m] work, i64 step, f32 dark, f32 bright, f64 sigma, f64 least, f64 most, f64 wide, "
+    "f64 alike, f32 offset",
 )
 _fit_light = Kernel(
     "fit_light",
@@ -54,19 +57,30 @@ _fit_light = Kernel(
     "out f64[3,4,4] normal, out f32[n] farthest, out f64[5] figures, out f32[m] work, f64 sigma, f64 least, f64 most, "
     "f64 wide, f64 alike, f32 offset",
 )
+_correlation = Kernel(
+    "least_changed_correlation",
+    "f32[n,3] seen, f32[n,3] untouched, f32[3] scale, out f32[m] work, out f64[1] correlation",
+)
 
 
 def block_means(image: Array) -> Map:
     """Means over about 1200 square blocks, (h, w, 3) float32: each averages out the noise and is smaller than a contact."""
+    means, pixels = block_means_later(image)
+    if pixels is not None:
+        width = pixels.shape[1]
+        _means_of_bytes(pixels, width // means.shape[1], np.empty(3 * width, dtype=np.uint16), means)
+    return means
+
+
+def block_means_later(image: Array) -> tuple[Map, Image | None]:
+    """An unset array (h, w, 3) for `block_means`, and the pixels (H, W, 3) for a kernel to average; or the means."""
     height, width = image.shape[:2]
     step = max(1.0, (height * width / 1200) ** 0.5)
     size = (max(1, round(width / step)), max(1, round(height / step)))
     block = width // size[0]  # OpenCV rounds halves up for 2x2 pixels, to even for more
     if image.dtype == np.uint8 and (height, width) == (block * size[1], block * size[0]) and 2 < block <= 256:
-        means = np.empty((size[1], size[0], 3), dtype=np.float32)
-        _means_of_bytes(np.ascontiguousarray(image), block, np.empty(3 * width, dtype=np.uint16), means)
-        return means
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+        return np.empty((size[1], size[0], 3), dtype=np.float32), np.ascontiguousarray(image)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32), None
 
 
 @dataclass(frozen=True)
@@ -86,21 +100,24 @@ class FrameLight:
     # least_pattern, middle_pattern: that of the quarter and of the half that changed least, after a gain alone
     least_pattern: float = np.inf
     middle_pattern: float = np.inf
+    # with the background over the half of the blocks that changed least, without this light, channels together; 0 if only
+    # the image is featureless, NaN if the background is
+    correlation: float = np.nan
 
     @property
     def covariance(self) -> Numbers:
         """Of each channel's values, (3, 4, 4); 0 for a tilt and room light that were not fitted."""
         return np.tile(np.diag(GAIN / PRIOR), (3, 1, 1)) if self.fit is None else self.fit.covariance
 
-    @property
+    @once
     def is_plain(self) -> bool:
         """Whether the frame differs by a gain at most."""
-        return not self.values[:, 1:].any()
+        return not np.count_nonzero(self.values[:, 1:])
 
-    @property
+    @once
     def gain(self) -> Numbers:
         """Brightness (3,) in the middle over the background's, without the room's light."""
-        return np.asarray(np.exp(self.values[:, 0]), dtype=np.float64)
+        return np.asarray(np.exp(self.values[:, 0]))
 
     @property
     def tilt(self) -> Numbers:
@@ -159,20 +176,30 @@ class _Fit(NamedTuple):
 
 
 class _LitBlocks:
-    """The blocks (h, w, 3) of an image that are neither dark nor saturated in it and in a background image."""
+    """The blocks (h, w, 3) of an image that are neither dark nor saturated in it and in a background image.
 
-    def __init__(self, blocks: Map, untouched: Map, every: int = EVERY) -> None:
+    They come with the light as a gain alone, and with the likeness in it. `pixels`: their means go to the blocks first.
+    """
+
+    def __init__(self, blocks: Map, untouched: Map, every: int = EVERY, pixels: Image | None = None) -> None:
         height, width = (-(-size // every) for size in blocks.shape[:2])
         self.total, size = height * width, height * width + 1
-        self._lit, self._work = np.empty((8, size), np.float32), np.empty(14 * size, np.float32)
-        self._medians = np.empty(3, np.float32)
-        self.count = _lit_blocks(blocks, untouched, every, DARK, BRIGHT, self._lit, self._medians, self._work)
+        row = 0 if pixels is None else 3 * pixels.shape[1]
+        work_size = max(14 * size, 2 * (blocks.size // 3), -(-row // 2))
+        self._lit, self._work = np.empty((8, size), np.float32), np.empty(work_size, np.float32)
+        self._blocks = blocks, untouched
+        values, beside, (normal, far, figures) = np.empty((3, 4)), np.empty(4), self._unset()
+        self.count = _gain_of_blocks(
+            pixels, blocks, untouched, PRIOR, GAIN, WIDENED, self._lit, values, normal, far, figures, beside, self._work,
+            step=every, dark=DARK, bright=BRIGHT, sigma=REST_SIGMA, least=LEAST_REST, most=REST_SIGMA, wide=TOUCHED_SIGMA,
+            alike=ALIKE, offset=CHANGE_OFFSET,
+        )  # fmt: skip
+        self.gain = _Fit(values, GAIN, normal, far[: self.count], *figures.tolist())
+        self._beside = beside.tolist()
 
-    def gain(self) -> _Fit:
-        """The light as a gain alone, from the blocks' median ratio."""
-        start = np.zeros((3, 4))
-        start[:, 0] = np.log(self._medians)
-        return self.fit(GAIN, start, most=REST_SIGMA)
+    def _unset(self) -> tuple[Numbers, Map, Numbers]:
+        """The arrays of a fit: its normal matrices, the blocks' changes, and figures."""
+        return np.empty((3, 4, 4)), np.empty(self._lit.shape[1], np.float32), np.empty(5)
 
     def fit(
         self,
@@ -186,52 +213,66 @@ class _LitBlocks:
 
         It learns the sigma of the blocks at rest, up to `most`, if it is None.
         """
-        values, normal, figures = start.copy(), np.empty((3, 4, 4)), np.empty(5)
-        far = np.empty(self._lit.shape[1], np.float32)
+        values, (normal, far, figures) = start.copy(), self._unset()
         _fit_light(
             self._lit, self.count, PRIOR, free, widened, values, normal, far, figures, self._work, sigma=sigma or REST_SIGMA,
             least=LEAST_REST, most=0.0 if sigma else most, wide=TOUCHED_SIGMA, alike=ALIKE, offset=CHANGE_OFFSET,
         )  # fmt: skip
         return _Fit(values, free, normal, far[: self.count], *figures.tolist())
 
-    def light(self, fit: _Fit, gain: _Fit) -> FrameLight:
-        """The light of a fit beside that of a gain alone."""
-        quarter, half = self.count // 4, self.count // 2
-        changes = np.partition(gain.far, (quarter, half))
-        least = changes[quarter] if fit is gain else np.partition(fit.far, quarter)[quarter]
-        pattern = float(changes[quarter]), float(changes[half])
+    def light(self, fit: _Fit | None = None) -> FrameLight:
+        """The light of a fit, by default the gain alone."""
+        quarter, half, information, correlation = self._beside
+        if not self.count:
+            return FrameLight(correlation=correlation)
+        least = quarter
+        if fit is not None:
+            least, information = (
+                float(np.partition(fit.far, at := self.count // 4)[at]),
+                fit.normal[:, 0, 0].min(),
+            )
+            correlation = self._correlation(fit.values)
+        fit = fit or self.gain
         # With a deviation of the gain's logarithm above 0.01, less than a tenth of the image agrees.
-        is_known = bool(fit.normal[:, 0, 0].min() >= 0.01**-2)
-        return FrameLight(fit.values, fit, is_known, fit.at_rest / self.total, float(least), *pattern)
+        is_known = bool(information >= 0.01**-2)
+        return FrameLight(
+            fit.values, fit, is_known, fit.at_rest / self.total, least, quarter, half, correlation
+        )
+
+    def _correlation(self, light: Numbers) -> float:
+        """The correlation of `FrameLight` in a light (3, 4)."""
+        blocks, untouched = self._blocks
+        found, seen = np.empty(1), without_light(blocks, light)
+        ones = np.ones(3, dtype=np.float32)
+        _correlation(seen.reshape(-1, 3), untouched.reshape(-1, 3), ones, self._work, found)
+        return float(found[0])
 
 
 def gain_from_blocks(blocks: Map, untouched: Map) -> FrameLight:
     """The light of an image as a gain alone, both from `block_means`."""
-    lit_blocks = _LitBlocks(blocks, untouched)
-    if not lit_blocks.count:
-        return FrameLight()
-    gain = lit_blocks.gain()
-    return lit_blocks.light(gain, gain)
+    return _LitBlocks(blocks, untouched).light()
 
 
-def light_from_blocks(blocks: Map, untouched: Map, usual: FrameLight | None = None) -> FrameLight:
+def light_from_blocks(
+    blocks: Map, untouched: Map, usual: FrameLight | None = None, pixels: Image | None = None
+) -> FrameLight:
     """The light of an image relative to a background image, both from `block_means`; of the blocks at rest.
 
     A large contact does not bias the gain, but can leave too few blocks at rest to measure it. Then `is_known` is False,
     and the covariance says how little is known. `usual` is the light of the moments before: it stays, but for the gain,
-    if it fits better than a gain and no light clearly better.
+    if it fits better than a gain and no light clearly better. Blocks and `pixels` may be those of `block_means_later`.
     """
-    lit_blocks = _LitBlocks(blocks, untouched)
+    lit_blocks = _LitBlocks(blocks, untouched, pixels=pixels)
+    gain = lit_blocks.gain
     if not lit_blocks.count:
-        return FrameLight()
-    gain = lit_blocks.gain()
+        return lit_blocks.light()
     if usual is not None and not usual.is_plain:
         again = lit_blocks.fit(GAIN, usual.values, most=REST_SIGMA)
         alone = lit_blocks.fit(GAIN, gain.values, again.rest_sigma, WIDENED[2:])
         if again.promised <= MARGIN and again.likelihood > alone.likelihood:
-            return replace(lit_blocks.light(again, gain), fit=usual.fit)
+            return replace(lit_blocks.light(again), fit=usual.fit)
     if gain.promised <= MARGIN:
-        return lit_blocks.light(gain, gain)
+        return lit_blocks.light()
     both = lit_blocks.fit(BOTH, gain.values)
     alone, *others = (
         lit_blocks.fit(free, np.where(free, start.values, 0), both.rest_sigma, WIDENED[2:])
@@ -239,7 +280,7 @@ def light_from_blocks(blocks: Map, untouched: Map, usual: FrameLight | None = No
     )
     best = max((one for one in others if one.has_room or not one.free[3]), key=lambda one: one.evidence)
     is_better = best.evidence - alone.evidence > MARGIN and best.is_likely
-    return lit_blocks.light(best if is_better else gain, gain)
+    return lit_blocks.light(best if is_better else None)
 
 
 def light_at_rest(blocks: Map, untouched: Map, start: Numbers) -> Numbers:
@@ -272,8 +313,10 @@ def scale_of_light(shape: tuple[int, ...], light: Numbers) -> Map:
 
     After them come, unless the light is a gain, factors of its rows (3 H,), and gray levels (3,) to subtract before.
     """
-    if not light[:, 1:].any():
-        return np.tile(np.exp(-light[:, 0]).astype(np.float32), shape[1])
+    if not np.count_nonzero(light[:, 1:]):
+        columns = np.empty((shape[1], 3), dtype=np.float32)
+        columns[:] = np.exp(-light[:, 0])
+        return columns.ravel()
     y, x = map(_centers, shape[:2])
     columns, rows = np.exp(-light[:, 0] - x[:, None] * light[:, 1]), np.exp(-y[:, None] * light[:, 2])
     return np.concatenate([columns, rows, light[None, :, 3]]).ravel().astype(np.float32)

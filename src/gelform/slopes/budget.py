@@ -26,8 +26,9 @@ from gelform._native import Kernel
 from gelform.arrays import Array, Image, Map, Mask, Numbers, Slopes
 from gelform.errors import Finding
 from gelform.foundations.checks import HIGHEST_SLOPE, check_slopes
+from gelform.foundations.filters import MIN_UNTOUCHED, lattice_step
 from gelform.foundations.pool import once
-from gelform.image.background import PreparedBackground, Reference
+from gelform.image.background import PreparedBackground
 from gelform.image.health import BELOW, BLOCK_PX, LIT
 from gelform.slopes.color_models.seam import PreparedColorModel
 from gelform.slopes.gradients import STEEPEST_GEL
@@ -49,8 +50,8 @@ STEEPEST_FACE = 1.4
 
 _slopes_at_rest = Kernel(
     "slopes_at_rest",
-    "f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, f32[3] common, f32[2] bias, out f32[h,w,2] gradients, "
-    "out bool[h,w] at_rest, f32 square, f32 highest",
+    "f32[h,w,3] change, bool[h,w]? hidden, bool[h,w]? given, out f32[h,w,2] gradients, out bool[h,w] at_rest, "
+    "out i32[1] refused, out f32[n] work, f32 square, f32 highest, f64 share, i64 coarse, i64 step",
 )
 _slope_weights = Kernel(
     "slope_weights",
@@ -179,23 +180,45 @@ class PreparedBudget:
         )
 
 
-def without_bias(
-    color_change: Map, gradients: Slopes, reference: Reference, hidden: Mask | None = None
-) -> Mask:
-    """The pixels (H, W) at rest; the reference's bias is subtracted from the gradients (H, W, 2) in place.
+EXPOSURE_STEP_PX = 8  # px, lattice step for the common change
 
-    Hidden pixels are not at rest.
+
+def without_bias(
+    color_change: Map,
+    gradients: Slopes,
+    threshold: float,
+    hidden: Mask | None = None,
+    given: Mask | None = None,
+) -> tuple[Mask, tuple[Finding, ...]]:
+    """The pixels (H, W) at rest, and a finding if they are few; their bias leaves the gradients (H, W, 2) in place.
+
+    A pixel of the color change (H, W, 3) is at rest if it differs by less than the threshold from most, because an exposure
+    step changes all alike, unless a marker hides it (H, W). If these are too few, the pixels that changed least are `given`.
+    The bias is their median slope, because colors that drifted everywhere are no slope. Medians are over a lattice of some
+    5000 pixels.
 
     ValueError: as `check_slopes` of the gradients.
     """
-    at_rest = np.empty(gradients.shape[:2], dtype=bool)
-    refused = _slopes_at_rest(
-        color_change, hidden, reference.given, reference.common_change, reference.bias, gradients, at_rest,
-        square=reference.threshold**2, highest=HIGHEST_SLOPE,
+    height, width = gradients.shape[:2]
+    step = lattice_step(height * width) if given is None else 1
+    samples, coarse = (-(-height // one) * -(-width // one) for one in (step, EXPOSURE_STEP_PX))
+    at_rest, refused = np.empty((height, width), dtype=bool), np.empty(1, dtype=np.int32)
+    count = _slopes_at_rest(
+        color_change, hidden, given, gradients, at_rest, refused, np.empty(2 * max(samples, coarse), dtype=np.float32),
+        square=threshold**2, highest=HIGHEST_SLOPE, share=MIN_UNTOUCHED, coarse=EXPOSURE_STEP_PX, step=step,
     )  # fmt: skip
-    if refused:
+    if refused[0]:
         check_slopes(gradients)
-    return at_rest
+    fraction = count / samples
+    if given is not None or fraction >= MIN_UNTOUCHED:
+        return at_rest, ()
+    size = np.linalg.norm(color_change, axis=-1)
+    least = size <= np.quantile(size, MIN_UNTOUCHED)
+    message = (
+        f"Only {100 * fraction:.1f} % of the pixels are at rest. Depth is relative to the least changed ones."
+    )
+    given, _ = without_bias(color_change, gradients, threshold, given=least)
+    return given, (Finding("few_untouched", message, fraction),)
 
 
 def noise_at_rest(

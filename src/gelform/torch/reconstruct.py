@@ -16,7 +16,7 @@ from gelform.calibration_file import Calibration, as_calibration
 from gelform.depth.coarse import coarse_of
 from gelform.foundations.checks import HIGHEST_SLOPE, check_image
 from gelform.foundations.filters import CHANGE_OFFSET, MIN_UNTOUCHED, blur_taps, lattice_step
-from gelform.image.background import EXPOSURE_STEP_PX, ChangeSettings, gain_from_background, linear_light
+from gelform.image.background import ChangeSettings, gain_from_background, linear_light
 from gelform.image.light import (
     ALIKE,
     EVERY,
@@ -28,6 +28,7 @@ from gelform.image.light import (
     block_means,
 )
 from gelform.image.view import BRIGHT, DARK, pixel_positions
+from gelform.slopes.budget import EXPOSURE_STEP_PX
 from gelform.slopes.color_models import (
     ColorModel,
     ForwardResponse,
