@@ -339,7 +339,7 @@ REFUSED = {
     "another sensor": (touch(calibration_digest="b"), None),
     "out of order": (touch(time_s=0.5), None),
     "no contact": (touch(radius_mm=0.2), None),
-    r"have \d+ % of the contact in common \(\d+ px\), and a motion needs 25 % and 300 px": (
+    r"have \d+ % of the contact in common \(\d+ px\), and a motion needs 25 % and 256 px": (
         touch(pose(4.6), stays=True),
         pose(4.5),
     ),

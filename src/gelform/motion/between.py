@@ -90,7 +90,7 @@ def checked_pose(pose: ArrayLike, name: str) -> Array:
 LARGEST = 1e6  # mm and mm/mm; sums of squares of larger ones are beyond float32
 LARGEST_SIGMA = 3.0  # mm/mm and mm; what is less certain, or NaN, counts as this
 MOVED_PX = 3.0  # px; errors that belong to a place on the sensor are alike so far, and look like shape
-MARGIN_PX = 4  # px around a contact, for the filters
+MARGIN_PX = 4  # px around a contact, as far as the derivatives of its slopes reach
 
 _motion_rows = Kernel(
     "motion_rows",
@@ -162,7 +162,7 @@ class TouchedSurface:
                     f"Motion needs depth and slopes up to {LARGEST:.0e}, got {largest:.1e} {unit}: are the units right?"
                 )
         # Derivatives (h, w, 2) of smoothed slopes along x, and along y.
-        smooth = cv2.getGaussianKernel(7, 0.8)
+        smooth = cv2.getGaussianKernel(2 * MARGIN_PX - 1, 0.8)
         difference, pitch = np.convolve(smooth.ravel(), [-0.5, 0, 0.5]), self.pitch
         self.derivatives = (
             cv2.sepFilter2D(self.gradients, -1, difference / pitch[0], smooth),
@@ -231,8 +231,8 @@ class TouchedSurface:
 
     @cached_property
     def inner(self) -> Mask:
-        """The touched pixels (h, w) more than 3 px inside the border, where slopes change because the contact ends."""
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
+        """The touched pixels (h, w) so far inside that their smoothed slopes are of the contact alone."""
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * MARGIN_PX - 1,) * 2)
         inner = cv2.erode(self.closed.view(np.uint8), disc, borderValue=0)
         return self.contact & inner.view(np.bool_)
 
@@ -263,12 +263,13 @@ def _variances(result: Reconstruction, rows: slice, cols: slice) -> Floats:
 
 
 FOUND, LOST, UNSURE = "found", "lost", "cannot tell yet"
-LEAST_SHARE, LEAST_PX = 0.25, 300  # of the contact, and pixels, that both frames touch
 # Mm and degrees: farther from the start there are other minima; farther turned, every method drifts by .1-.3 mm, 2-5 deg.
 MOST_FROM_START_MM, MOST_TURN_DEG = 0.5, 10.0
 NO_PRIOR = 10.0, float(np.radians(MOST_TURN_DEG))  # mm and rad, what is known where nothing is seen
 LAST_MM, LAST_RAD = 2e-3, 5e-4  # a smaller step is the last
 BLOCK_PX = 16  # px, side of the blocks whose errors count as independent
+LEAST_SHARE, LEAST_PX = 0.25, BLOCK_PX**2  # of the contact, and pixels (a block), that both frames touch
+HALF = 0.5  # of the squares of a change: what explains less of them is blind
 
 
 @dataclass(frozen=True, eq=False)
@@ -535,7 +536,7 @@ def blind_directions(first: TouchedSurface, at: Equations) -> tuple[tuple[Blind,
     scale = first.scale
     _, directions, undetermined = determined_by(at.information, scale)
     alike = np.where(undetermined, 0.0, _correlations(first, at, directions))
-    chosen = alike < 0.71  # 97 % of the directions that are not blind lie above
+    chosen = alike < HALF**0.5  # 97 % of the directions that are not blind lie above
     if chosen.any() and (ball := _ball(first, at)) is not None:
         pivot, shape = ball
         turns = np.concatenate([about_other_center(-pivot)[:3, 3:], np.eye(3)]).T
@@ -601,9 +602,9 @@ def _ball(first: TouchedSurface, at: Equations) -> tuple[Array, float] | None:
     both = of_point @ (away * off).sum(axis=1)
     left = 1 - max(both, 0) ** 2 / max(places * apart, 1e-30)
     pivot = middle - upward * both / max(apart, 1e-12 * total)
-    # The stated variance of a slope over its square. More than half is no ball, whatever is known of the slopes.
+    # The stated variance of a slope over its square.
     doubt = 2 * np.count_nonzero(weight) / max(float(np.sum(weight * np.square(first.slopes))), 1e-30)
-    return (pivot, left) if left < min(0.5, doubt) else None
+    return (pivot, left) if left < min(HALF, doubt) else None
 
 
 def _sizes(vectors: Array) -> Array:

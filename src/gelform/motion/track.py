@@ -16,6 +16,7 @@ from gelform.errors import GelformError
 from gelform.foundations.checks import check_list
 from gelform.foundations.filters import fill_unknown
 from gelform.motion.between import (
+    BLOCK_PX,
     FOUND,
     FREEDOM,
     LARGEST_SIGMA,
@@ -294,7 +295,7 @@ def layer_of(
     )
     touched = cv2.copyMakeBorder(surface.contact.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     inward_px = _sampled(cv2.distanceTransform(touched, cv2.DIST_L2, 3)[1:-1, 1:-1], pixel)
-    share = np.where(inward_px > 0.5, np.minimum(inward_px / 20, 1), 0)  # it gains its weight over 20 px
+    share = np.where(inward_px > 0.5, np.minimum(inward_px / BLOCK_PX, 1), 0)
     normal = np.dstack([-slopes, np.ones(shape)])
     change = np.concatenate([normal, np.cross(there - center, normal)], axis=-1)  # by an error of the pose
     of_pose = np.asarray(np.einsum("...i,ij,...j->...", change, covariance, change), dtype=np.float64)
