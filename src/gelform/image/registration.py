@@ -30,9 +30,10 @@ BLURS_PX = (4 * FINEST_PX, 2 * FINEST_PX, FINEST_PX, FINEST_PX)
 PRIOR_PX = 5.0  # px, standard deviation of an unknown motion at the image's corners
 # Rows and columns of blocks whose residuals count as independent; they are larger than texture.
 BLOCKS = (8, 10)
-# Phase correlation for the start of the fit: texture finer than this Gaussian, px; smallest peak; longest shift, px.
-FINE_PX, MIN_RESPONSE, MOST_PX = 4.0, 0.08, 12.0
-STEP = 1 / 32  # px, the finest step of cv2.remap
+MOST_PX = int(2 * BLURS_PX[0])  # px, longest shift; so wide a border, which blurs reach beyond, is left out
+# Phase correlation for the start of the fit: texture finer than this Gaussian, px; smallest peak.
+FINE_PX, MIN_RESPONSE = 4.0, 0.08
+STEP = 1 / cv2.INTER_TAB_SIZE  # px, the finest step of cv2.remap
 
 
 @dataclass(frozen=True)
@@ -148,8 +149,7 @@ class PreparedRegistration:
         used = away < max(0.02, 3 * float(np.median(away)))
         if touched is not None:
             used &= ~touched
-        margin = int(2 * BLURS_PX[0])
-        used[:margin] = used[-margin:] = used[:, :margin] = used[:, -margin:] = False
+        used[:MOST_PX] = used[-MOST_PX:] = used[:, :MOST_PX] = used[:, -MOST_PX:] = False
         return used
 
     def _fit(self, logs: Map, motion: Numbers, blur: float, used: Mask) -> tuple[Numbers, Numbers]:

@@ -149,7 +149,7 @@ class Lens:
         for name, counts, words in (
             ("camera", (4,), "4"),
             ("distortion", range(6), "up to 5"),
-            ("perspective", (9,), "9"),
+            ("perspective", (len(IDENTITY),), "9"),
         ):
             wanted = f"the lens's {name} as {words} finite numbers"
             object.__setattr__(self, name, _numbers(getattr(self, name), counts, wanted))

@@ -32,10 +32,12 @@ from gelform.foundations.checks import check_image
 from gelform.foundations.filters import CHANGE_OFFSET, log_levels
 from gelform.image.view import as_levels
 
-# Range of a present dot's strength over that at rest: turned away it is fainter, stretched it is stronger.
+# Range of a present dot's strength, and of its width, over those at rest: turned away it is fainter, stretched stronger.
 STRENGTH = (0.3, 2.2)
 LAST_STEP_PX = 0.1  # the largest last step of a valid fit
-LIGHT, SHIFT = 6, 7  # columns: quadratic light, the dot, its derivatives (2), their products with u (4)
+STEPS, SURE_PX = 8, 0.01  # at most; px, no place is known better: a smaller step is the last
+LIGHT = 6  # columns of quadratic light; then the dot, and from SHIFT on its derivatives (2), their products with u (4)
+SHIFT = LIGHT + 1
 
 _MEAN = np.full((1, 3), 1 / 3, dtype=np.float32)  # mean of the channels
 _LOGS = np.log(np.arange(256, dtype=np.float32) + np.float32(CHANGE_OFFSET))
@@ -85,7 +87,7 @@ class MarkerPatches:
         fit = np.zeros((len(shift), 4), dtype=np.float32)
         parts = (self.corners_px, self.weights, self._basis, self._triangle)
         of_chosen = [part[chosen] for part in parts]
-        _follow_patches(logs, *of_chosen, shift, fit, side=self.side_px, steps=8, longest=self._longest)
+        _follow_patches(logs, *of_chosen, shift, fit, side=self.side_px, steps=STEPS, longest=self._longest)
         strength, left, own, last = fit.T
         noise = np.sqrt(left / self._freedom[chosen])
         sigma = (noise / np.maximum(strength, 0.1) * self._spread[chosen]).astype(np.float32)
@@ -111,7 +113,7 @@ class MarkerPatches:
         normal[np.diag_indices(len(normal))] += [1e-9] * (SHIFT + 2) + [0.02 * np.sum(weight**2)] * 4
         inverse = np.linalg.inv(normal)  # definite by what the diagonal got
         shift, warp = np.array(start, dtype=np.float64), np.eye(2)
-        for _ in range(15):
+        for _ in range(STEPS):
             x, y = (self.centers_px[i] + shift + u @ warp.T).astype(np.float32).T[:, :, None]
             seen = cv2.remap(logs, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
             evidence = weight * (np.asarray(seen).ravel() + 0.0)
@@ -123,7 +125,7 @@ class MarkerPatches:
             warp = warp @ np.linalg.inv(np.eye(2) + change)  # never singular, as changes are small
             shift = shift - warp @ step
             last = float(np.linalg.norm(step) + self.radius_px * np.abs(change).max())
-            if last < 0.02 or not _is_of_rubber(warp):
+            if last < SURE_PX or not _is_of_rubber(warp):
                 break
         left = float(np.sum((evidence - columns @ fit) ** 2))
         light, dot = columns[:, :LIGHT], columns[:, LIGHT]
@@ -196,11 +198,12 @@ def level_from_image(image: Array) -> Image:
 def _is_of_rubber(warp: Numbers) -> bool:
     """Whether the singular values of a map (2, 2) are within the reach of rubber."""
     stretch = np.linalg.svd(warp, compute_uv=False)
-    return bool(stretch[0] < 2.2 and stretch[1] > 0.35)
+    return bool(stretch[0] < STRENGTH[1] and stretch[1] > STRENGTH[0])
 
 
 LEVEL_OFFSET = 5.0  # gray levels; noise of dark pixels is no darkness
 MIN_DOTS, MIN_AREA_PX = 9, 5  # fewer dots form no grid, smaller ones are noise
+FOLDS = 4, 6  # neighbors of a dot in a square grid, and in a hexagonal one
 SIZE_RANGE = (0.4, 2.5)  # of a dot's area over the typical one
 # Of a dot's peak; the first is its edge, the others separate it from a shadow next to it.
 LEVELS = (0.3, 0.5, 0.7)
@@ -229,7 +232,7 @@ class MarkerFinder:
         size = max(3, int(0.13 * min(image.shape[:2])) | 1)  # px, wider than any dot
         self._kernel = np.ones((size, size), dtype=np.uint8)
         darkness = self._darkness(image)
-        self._peak, self._area = _dots_of_grid(darkness)
+        self._peak, self._area = _dots_of_grid(darkness, size**2)
         self.untouched = self(image)
 
     def __call__(self, image: Array) -> Markers:
@@ -239,8 +242,9 @@ class MarkerFinder:
         darkness = self._darkness(image)
         mask = np.zeros(darkness.shape, dtype=bool)
         centers, areas = [np.zeros((0, 2))], [np.zeros(0)]
+        least, most = SIZE_RANGE[0] / 2 * self._area, SIZE_RANGE[1] * self._area  # a core is half of its dot
         for level in LEVELS:
-            dots, labels, whole = _dots(darkness, level * self._peak, self._area)
+            dots, labels, whole = _dots(darkness, level * self._peak, most, least)
             new = _peaks(darkness, labels, len(dots)) > 0.5 * self._peak
             new &= np.bincount(labels[mask], minlength=len(dots) + 1)[1:] == 0
             found = np.concatenate([[False], new])[labels]
@@ -306,9 +310,9 @@ def markers_from_image(image: ArrayLike, background: ArrayLike | None = None) ->
     return MarkerFinder(untouched)(pixels)
 
 
-def _dots_of_grid(darkness: Map) -> tuple[float, float]:
+def _dots_of_grid(darkness: Map, most: float) -> tuple[float, float]:
     """Typical peak and area of the dots of a gel's layout: a grid, or evenly spread all over it; 0, 0 without one."""
-    areas, labels, whole = _dots(darkness, 0.12, None)
+    areas, labels, whole = _dots(darkness, 0.12, most)
     if np.count_nonzero(whole) < MIN_DOTS:
         return 0.0, 0.0
     peaks = _peaks(darkness, labels, len(areas))
@@ -326,7 +330,7 @@ def _dots_of_grid(darkness: Map) -> tuple[float, float]:
         if not (all_over and len(centers) >= 25 and evenness(centers) > 1.4):
             return 0.0, 0.0
     peak = float(np.median(peaks[alike]))
-    areas, _, whole = _dots(darkness, LEVELS[0] * peak, None)
+    areas, _, whole = _dots(darkness, LEVELS[0] * peak, most)
     return peak, float(np.median(areas[whole & (areas > SIZE_RANGE[0] * typical)]))
 
 
@@ -348,7 +352,7 @@ def is_grid(centers_px: Array) -> bool:
     """
     if len(centers_px) < MIN_DOTS:
         return False
-    found = scipy.spatial.cKDTree(centers_px).query(centers_px, k=min(7, len(centers_px)))
+    found = scipy.spatial.cKDTree(centers_px).query(centers_px, k=1 + max(FOLDS))
     distance, neighbor = np.asarray(found[0]), np.asarray(found[1])
     pitch = float(np.median(distance[:, 1]))
     near = np.abs(distance[:, 1:] - pitch) < 0.3 * pitch
@@ -357,11 +361,16 @@ def is_grid(centers_px: Array) -> bool:
     step = centers_px[neighbor[:, 1:]] - centers_px[:, None]
     angle = np.arctan2(step[..., 1], step[..., 0])[near]
     # 1 for an even grid, 0 for scattered points
-    return bool(max(abs(np.mean(np.exp(1j * fold * angle))) for fold in (4, 6)) >= 0.5)
+    return bool(max(abs(np.mean(np.exp(1j * fold * angle))) for fold in FOLDS) >= 0.5)
 
 
-def _dots(darkness: Map, threshold: float, area: float | None) -> tuple[Numbers, NDArray[np.int32], Mask]:
-    """Areas of compact dark components, a map of their numbers from 1 (0: none), and whether each is whole."""
+def _dots(
+    darkness: Map, threshold: float, most: float, least: float = 0.0
+) -> tuple[Numbers, NDArray[np.int32], Mask]:
+    """Areas of compact dark components, a map of their numbers from 1 (0: none), and whether each is whole.
+
+    `most` px is the largest area, `least` the smallest of a whole one.
+    """
     count, labels, stats, _ = cv2.connectedComponentsWithStats((darkness > threshold).astype(np.uint8))
     height, width = darkness.shape
     left, top, wide, high, areas = (stats[1:, k].astype(np.float64) for k in range(5))
@@ -369,9 +378,7 @@ def _dots(darkness: Map, threshold: float, area: float | None) -> tuple[Numbers,
     longer, shorter = np.maximum(wide, high), np.minimum(wide, high)
     compact = (areas > 0.45 * wide * high) & (longer <= 2.5 * shorter) & (areas >= MIN_AREA_PX)
     compact |= ~whole & (areas >= MIN_AREA_PX)
-    compact &= areas < (0.15 * min(height, width)) ** 2 if area is None else areas < SIZE_RANGE[1] * area
-    if area is not None:
-        compact &= ~whole | (areas > 0.2 * area)
+    compact &= (areas < most) & (~whole | (areas > least))
     number = np.zeros(count, dtype=np.int32)
     number[1:][compact] = np.arange(1, np.count_nonzero(compact) + 1)
     return areas[compact], number[labels], whole[compact]
@@ -395,12 +402,12 @@ def _centers(darkness: Map, labels: NDArray[np.int32], count: int) -> Numbers:
 class CandidateFinder:
     """Finds possible dots: places that are darker than their surroundings, at a dot's size. Prepared for one gel."""
 
-    def __init__(self, logs: Map, centers_px: Array, radius_px: float) -> None:
-        # Widths of the two boxes whose means are compared at a candidate.
-        self._inner, self._outer = (max(1, round(width * radius_px)) | 1 for width in (1.3, 3.6))
-        self._near = np.ones((max(3, round(radius_px) | 1),) * 2, dtype=np.uint8)
-        column, row = np.rint(centers_px).astype(np.intp).T
-        self._threshold = 0.35 * float(np.median(self._response(logs)[row, column]))
+    def __init__(self, logs: Map, patches: MarkerPatches) -> None:
+        # Widths of the two boxes whose means are compared at a candidate: of the largest square in a dot, and of its patch.
+        self._inner, self._outer = max(1, round(2**0.5 * patches.radius_px)) | 1, patches.side_px
+        self._near = np.ones((max(3, round(patches.radius_px) | 1),) * 2, dtype=np.uint8)
+        column, row = np.rint(patches.centers_px).astype(np.intp).T
+        self._threshold = STRENGTH[0] * float(np.median(self._response(logs)[row, column]))
 
     def __call__(self, logs: Map) -> Map:
         """Candidates (M, 2), x and y, to about a pixel."""

@@ -17,7 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.arrays import Array, Floats, Map, Mask, Numbers
 from gelform.foundations.checks import check_image, check_mm_per_px
-from gelform.image.markers.finder import CandidateFinder, MarkerFinder, MarkerPatches, logs_from_image
+from gelform.image.markers.finder import (
+    SURE_PX,
+    CandidateFinder,
+    MarkerFinder,
+    MarkerPatches,
+    logs_from_image,
+)
 
 _SHAPES = {"rest_px": (2,), "now_px": (2,), "seen": (), "sigma_px": ()}
 
@@ -106,14 +112,11 @@ class Neighbors:
         self._rest = np.asarray(rest_px, dtype=np.float64)
         count = len(self._rest)
         found = scipy.spatial.cKDTree(self._rest).query(self._rest, k=min(1 + 8, count))  # itself, and eight
-        distance, self._index = np.asarray(found[0])[:, 1:], np.asarray(found[1])[:, 1:]
-        self.spacing_px = float(np.median(distance[:, 0]))
-        # Within 1.7 spacings, and at most eight.
-        self._near = distance < 1.7 * np.maximum(self.spacing_px, distance[:, :1])
+        self.spacing_px, self._index = float(np.median(found[0][:, 1])), np.asarray(found[1])[:, 1:]
 
     def astray_px(self, shift_px: Array, sure: Mask) -> Numbers:
         """Distance (N,) of each dot's shift from the median of its sure neighbors; 0 without any."""
-        theirs = np.where((self._near & sure[self._index])[..., None], shift_px[self._index], np.inf)
+        theirs = np.where(sure[self._index][..., None], shift_px[self._index], np.inf)
         theirs.sort(axis=1)
         count = np.count_nonzero(np.isfinite(theirs[..., 0]), axis=1)
         lower, upper = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, theirs.shape[1] - 1)
@@ -165,7 +168,7 @@ class MarkerFollower:
         self._neighbors = Neighbors(self._all)
         logs = logs_from_image(image)
         self._patches = MarkerPatches(logs, self.rest_px, radius)
-        self._candidates = CandidateFinder(logs, self.rest_px, radius)
+        self._candidates = CandidateFinder(logs, self._patches)
         # Positions (M, 2) of the pixels that dots darken at rest, and the nearest dot (M,) of each.
         self._dark = np.stack(np.nonzero(self._finder.untouched.mask)[::-1], axis=-1)
         self._owner = np.asarray(scipy.spatial.cKDTree(self._all).query(self._dark)[1])
@@ -192,7 +195,7 @@ class MarkerFollower:
         expected = np.zeros((len(self), 2)) if start_px is None else np.asarray(start_px, dtype=np.float64)
         shift, seen, sigma = self._resolved(logs_from_image(image), expected)
         # A fit's residual is no white noise; both numbers were measured on simulated shear.
-        sigma = np.hypot(1.5 * sigma, 0.01).astype(np.float32)
+        sigma = np.hypot(1.5 * sigma, SURE_PX).astype(np.float32)
         sigma[~seen] = 0.2 * self.spacing_px
         now = (self.rest_px + shift).astype(np.float32)
         return MarkerFlow(self.rest_px, now, seen, sigma, self.mm_per_px)
