@@ -22,6 +22,7 @@ from gelform.calibration.presses.press_set import NAMED, Circle
 from gelform.errors import counted
 from gelform.image.view import scale_of
 from gelform.result.metrics import followed_radius
+from gelform.slopes.color_models.polynomial import DEGREES
 
 
 class Need(NamedTuple):
@@ -65,7 +66,7 @@ SAMPLED = 24  # presses that stand for all in a median
 FOLDS = 5  # groups of presses, each held out in turn: the other four fifths train
 
 # Position degrees of the polynomial that moves uncertain circles, from a number of presses on.
-REFINING = ((0, (1,)), (6, (2, 1)), (9, (3, 2, 0)))
+REFINING = ((0, DEGREES[0][0]), *((least, degrees) for degrees, least in DEGREES[1:3]))
 
 DIRECTIONS = 8  # directions of slopes, 45 degrees each
 COARSE = (3, 4)  # tiles (rows, columns) in notes
@@ -257,7 +258,7 @@ def one_part(circles: Sequence[Circle], shape: tuple[int, int]) -> str | None:
     thirds = []
     for centers, n in ((x, shape[1]), (y, shape[0])):
         extent = min(n, (centers + radius).max()) - max(0, (centers - radius).min())
-        thirds.append(None if extent > 0.65 * n else _holding(centers / n))
+        thirds.append(None if extent > 2 / 3 * n else _holding(centers / n))
     if thirds == [None, None]:
         return None
     place = [n * (0.5 if third is None else (third + 0.5) / 3) for third, n in zip(thirds, shape[::-1])]

@@ -14,6 +14,7 @@ from gelform.calibration.presses.press_set import presses_from_simulated
 from gelform.errors import CalibrationError, Progress, SensorError, no_progress
 from gelform.exchange.plots import canvas, draw_map, pixels_of
 from gelform.foundations.checks import check_positive
+from gelform.image.view import PIXEL_VARIANCE
 from gelform.reconstruct import Reconstructor
 from gelform.result.metrics import angle_deg
 from gelform.simulate import Optics, SimulatedSensor, exposed, simulate_background, simulate_ball_presses
@@ -189,7 +190,7 @@ def light_quality(sensor: SimulatedSensor) -> tuple[NDArray[np.float64], NDArray
         (_levels_of_slope(plain, px, py) - _levels_of_slope(plain, -px, -py)) / (2 * step)
         for px, py in ((step, 0.0), (0.0, step))
     ]
-    variance = sensor.noise_sd**2 + sensor.noise_gain * rest + 1 / 12  # of rounding to gray levels
+    variance = sensor.noise_sd**2 + sensor.noise_gain * rest + PIXEL_VARIANCE  # of rounding to gray levels
     matrix = np.stack(columns, axis=-1) / np.sqrt(variance)[..., None]
     singular = np.linalg.svd(matrix, compute_uv=False)
     smallest = np.maximum(singular[..., 1], 1e-9 * singular[..., 0])

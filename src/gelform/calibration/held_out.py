@@ -15,6 +15,7 @@ import numpy as np
 
 from gelform.arrays import Array, Map, Numbers
 from gelform.calibration.circles.find import (
+    LEAST_PIXELS,
     PRESS_PIXELS,
     REST_DISTANCE,
     ZONE,
@@ -364,15 +365,14 @@ def depth_factor(far: Sequence[Map], gain_sigma: float, usual: float) -> float:
 
 
 def _far_depth(record: FrameRecord, circle_px: Circle) -> Map:
-    """What `depth_factor` takes of each seventh pixel at rest beyond 2.5 radii of a contact; (4, 0) for under 200 pixels."""
+    """What `depth_factor` takes of each seventh pixel at rest beyond 2.5 radii of a contact; (4, 0) for too few pixels."""
     errors = record.depth_errors
     assert errors is not None
     far = record.known & (distances_px(record.depth_mm.shape, *circle_px[:2]) > OFF_CONTACT * circle_px[2])
-    if np.count_nonzero(far) < 200:
-        return np.empty((4, 0), dtype=np.float32)
     unit = errors.spread / record.fixed.slope_sigma.depth_factor**2
     maps = (errors.coarse.at_pixels(one) for one in (errors.own, unit, np.square(errors.common_mm)))
-    return np.stack([one[far][::7] for one in (np.square(record.depth_mm), *maps)])
+    found = np.stack([one[far][::7] for one in (np.square(record.depth_mm), *maps)])
+    return found if found.shape[1] >= LEAST_PIXELS else found[:, :0]
 
 
 def at_pixels(values: Map, pixels: Array) -> Map:

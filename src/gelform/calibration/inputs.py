@@ -506,8 +506,8 @@ def shape_notes(prepared: Sequence[PreparedPress], contacts: Sequence[ContactCir
 
 def imprint_aspect(size: Map, contact: ContactCircle) -> float:
     """Width of an imprint over its height, from |change|: that of the ellipses at which the ring mean falls most steeply."""
-    scale, falls, logs = scale_of(size.shape), [], np.linspace(-0.4, 0.4, 9)
-    low, high = int(RIM[0] * contact.radius_px), int(RIM[1] * contact.radius_px + 2 * scale)
+    scale, falls, logs = scale_of(size.shape), [], 0.4 * np.linspace(-1, 1, 9)
+    low, high = int((1 - RIM) * contact.radius_px), int((1 + RIM) * contact.radius_px + 2 * scale)
     for aspect in np.exp(logs):
         rings = ring_mean(size, contact.x_px, contact.y_px, float(aspect))
         slope = gaussian_filter1d(rings, 2 * scale, order=1)

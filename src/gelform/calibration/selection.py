@@ -129,7 +129,7 @@ def start_ridges(presses: int) -> list[float]:
     The other unit counts as much as a part of a press: that of each ridge, times the presses. Folds of few presses cannot
     choose one.
     """
-    stiffest, *softer = (part / presses for part in (0.6, 0.06, 0.006))
+    stiffest, *softer = (0.6 / (10**k * presses) for k in range(3))
     return [stiffest, *softer] if NEEDED.edge.met(presses) else [stiffest]
 
 

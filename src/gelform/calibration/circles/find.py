@@ -62,7 +62,7 @@ TOTAL_SAMPLES = 40_000  # pixels of all presses; twice as many fit no better
 TRIAL_SAMPLES = 15_000  # pixels of all presses for a fit that places circles or is tried on held-out presses
 PRESS_PIXELS = 1_500  # pixels of a press that a model is compared with; neighbors are copies
 LEAST_PIXELS = 30  # of a contact; fewer show no ball
-RIM = 0.6, 1.4  # of the expected radius: where the visible rim is searched for
+RIM = 0.4  # of the expected radius, either way: where the visible rim is searched for
 REACH = 0.6  # of the shorter side: the largest ring about a center
 ZONE = 0.95  # fraction of the contact radius that trains
 # Fraction of the visible radius: 0.74-0.90 on five simulated sensors, 0.81-0.91 as measured on real ones.
@@ -407,7 +407,7 @@ def contact_radius(size: Map, x_px: float, y_px: float, near_px: float | None = 
     blur = 2 * scale
     low, high = 3 * blur, last - 3 * blur
     if near_px is not None:
-        low, high = max(low, RIM[0] * near_px), min(high, RIM[1] * near_px + blur)
+        low, high = max(low, (1 - RIM) * near_px), min(high, (1 + RIM) * near_px + blur)
         last = min(last, int(max(low, high) + 4 * blur) + 3)  # as far as the filter reaches
     slope = gaussian_filter1d(ring_mean(size, x_px, y_px, count=last), blur, order=1)
     start, stop = int(low), max(int(low) + 1, int(high))

@@ -59,7 +59,7 @@ from gelform.slopes.color_models import COLOR_MODELS, DEFAULT_MODEL, PLAIN_MODEL
 from gelform.slopes.color_models.seam import HUBER_SLOPE, normal_equations, polynomial_terms, unit_position
 from gelform.slopes.sigma import SATURATED_FROM
 
-RINGS = np.arange(0.05, 1.001, 0.05)  # visible radii, the borders of rings
+RINGS = np.linspace(0, 1, 21)[1:]  # visible radii, the borders of rings
 # of the reading further in; with less, the gel has left the ball; .75 of .70-.80: slopes of one size by the other, and on
 # three sets
 LEAST_GAIN = 0.75
@@ -67,6 +67,7 @@ INNER = 0.5  # fraction of the visible radius that trains the model that measure
 # Rounds of fitting the model and moving circles to it; further ones move none by a tenth of a pixel.
 ROUNDS = 5
 STEEPEST_RING = 0.95  # of the ball's radius; a deep press is steepest further in
+MISFIT = 0.7  # of a ball's slopes; less, or more than its inverse, is no ball of that diameter
 JOINT_MOVE_PX = 3.0  # px at 240 rows, in one step; labels are linear in such moves
 BALL_FACTORS = np.geomspace(0.5, 2.0, 21)  # factors of the stated ball
 NEARLY_ALL = 0.9  # of the presses that have to fit the other ball
@@ -194,8 +195,8 @@ def mark_notes(presses: Sequence[PreparedPress]) -> tuple[str, ...]:
             "Circles by hand or stage's centers are not used where a ball is clearly seen at another place: "
             f"{', '.join(elsewhere)}. Check these rows of the table."
         )
-    # The median is 1.1-1.2 on home-made sensors, and 2 if diameters were given.
-    if ratios and np.median(ratios) > 1.6:
+    # The median is 1.1-1.2 on home-made sensors, and 2 if diameters were given: nearer to 2 than to 1.
+    if ratios and np.median(ratios) > 2**0.5:
         notes.append(
             f"The circles by hand are {np.median(ratios):.1f} times as wide as the imprints about their centers. "
             "contact_radius_px is a radius: was the diameter given?"
@@ -357,7 +358,7 @@ def misfit_reasons(agreements: Sequence[tuple[float, float]], clipped: str = "")
     limit = min(0.25, max(3 * typical, 0.1))  # mm/mm
     reasons: list[str | None] = []
     for residual, gain in agreements:
-        if not 0.7 <= gain <= 1.45:
+        if not MISFIT <= gain <= 1 / MISFIT:
             reasons.append(
                 f"its slopes are {gain:.2f} times those of a ball of this diameter, by the other presses: "
                 + (clipped or "it is no ball, or its ball_diameter_mm is wrong")
@@ -428,7 +429,7 @@ def other_ball_note(
     if not fits:
         return None
     _, factor, accepted = min(fits)
-    if abs(np.log(factor)) <= 0.07:  # one step of the factors either way still is the stated ball
+    if abs(np.log(factor)) < 2 * np.log(BALL_FACTORS[1] / BALL_FACTORS[0]):  # one step off is the stated
         return None
     return (
         f"{accepted} of {count} presses fit a ball {factor:.2f} times as large as stated. Check ball_diameter_mm and "

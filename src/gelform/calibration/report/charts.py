@@ -13,10 +13,7 @@ from gelform.arrays import Array, Numbers
 from gelform.slopes.sigma import ONE_SIGMA
 
 RIGHT_PERCENT = round(100 * ONE_SIGMA)  # within one sigma
-SHARE_RIGHT, SHARE_FAIR = (
-    (60, 76),
-    45,
-)  # % within one sigma that are good, or fair; above, a sigma is only wide
+SHARE_RIGHT, SHARE_FAIR = (60, 76), 45  # % within one sigma that are good, or fair; above, it is only wide
 TICKS = 8  # steps of an axis, at most
 Ticks = Sequence[float] | Array
 

@@ -39,7 +39,7 @@ from gelform.slopes.sigma import MIN_IN_BIN, ONE_SIGMA, SATURATED_FROM
 SLOPE_EDGES = tuple(round(0.1 * k, 1) for k in range(13))  # mm/mm, the borders of bins
 BOOTSTRAPS = 1000  # draws of presses, for intervals
 OVERALL = 200  # pixels that the overall error counts as, where a tile has few
-INTERVAL = 2.5, 97.5  # %, the ends of a 95 % interval
+INTERVAL = [(100 + side * 95) / 2 for side in (-1, 1)]  # %, the ends of a 95 % interval
 
 
 def _bins_of(slope: Array) -> Iterator[tuple[dict[str, float], Mask]]:
