@@ -155,7 +155,8 @@ def _dots_of(result: Any) -> tuple[DotMotion | None, Numbers | None]:
 
 
 KINDS = {"normal": "n", "shear": "n", "torsion": "n_mm"}  # of force, with their units
-SHAPES = {"normal": (1, 1), "shear": (2, 6), "torsion": (1, 6)}  # of their weights: components, terms
+TERMS = len(DotMotion._fields) + 1
+SHAPES = {"normal": (1, 1), "shear": (2, TERMS), "torsion": (1, TERMS)}  # of their weights: components, terms
 UNIT = "N"
 NO_LOADS = "no loads were calibrated (gelform force calibrate)"
 

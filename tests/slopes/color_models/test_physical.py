@@ -81,7 +81,7 @@ def test_what_tells_no_lights_is_refused():
         (lambda: inverse_lights(coplanar), "condition number .*coplanar"),
         (lambda: inverse_lights(coplanar + 1e-7 * np.eye(3)), "condition number .*coplanar"),
         (lambda: LambertianModel.fit(gamma_coded(0.7), response=-1), "response > 0"),
-        (lambda: NearLightModel.fit(samples_of(count=10)), "at least 30"),
+        (lambda: NearLightModel.fit(samples_of(count=10)), "at least 32"),
     ):
         with pytest.raises(ValueError, match=said):
             make()

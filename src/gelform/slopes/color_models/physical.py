@@ -217,14 +217,11 @@ def light_ratio_derivatives(
     by_position *= (mixture * above)[..., None]
     by_mixture = np.zeros((len(x), 3, 3, 3))
     by_mixture[:, range(3), range(3)] = (lit[:, None] - ratio[..., None] * rest[:, None]) * above
-    return (
-        np.maximum(ratio, LEAST_RATIO),
-        by_position.reshape(-1, 3, 9),
-        by_mixture[:, :, OFF_DIAGONAL],
-    )
+    by_position = by_position.reshape(len(x), 3, -1)
+    return np.maximum(ratio, LEAST_RATIO), by_position, by_mixture[:, :, OFF_DIAGONAL]
 
 
-LEAST_PRESSED = 30  # samples, twice the number of fitted parameters
+LEAST_PRESSED = 2 * (3 * 3 + np.count_nonzero(OFF_DIAGONAL) + 1)  # samples, twice the fitted parameters
 FARTHEST = 20.0  # in half the image's larger side, height and distance of a light
 
 _near_light_gradients = Kernel(
@@ -258,8 +255,9 @@ class NearLightModel(Stored, Untuned):
         """
         used = _pressed(samples)
         free = [value for c in range(3) for value in _start(used, c, response or 1.0)]
-        low, high = [-FARTHEST, -FARTHEST, 0.05] * 3, [FARTHEST] * 9
-        for count, start, least, most in ((6 * crosstalk, 0.05, 0.0, 2.0), (not response, 1.0, *RESPONSES)):
+        low, high = [-FARTHEST, -FARTHEST, 0.05] * 3, [FARTHEST] * len(free)
+        mixed = crosstalk * np.count_nonzero(OFF_DIAGONAL), 0.05, 0.0, 2.0
+        for count, start, least, most in (mixed, (not response, 1.0, *RESPONSES)):
             free, low, high = free + count * [start], low + count * [least], high + count * [most]
         residuals, jacobian = _problem(used, crosstalk, response, falloff)
         limits = {"bounds": (low, high), "x_scale": "jac", "max_nfev": 60}

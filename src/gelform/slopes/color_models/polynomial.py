@@ -46,9 +46,9 @@ from gelform.slopes.color_models.seam import (
     unit_position,
 )
 
-MAX_POSITION_DEGREE = 5  # 21 functions of the place
 # Position degrees that calibration tries, and the accepted presses that each needs.
 DEGREES = (((1,), 3), ((2, 1), 6), ((3, 2, 0), 9), ((4, 3, 1), 18), ((5, 4, 3), 30))
+MAX_POSITION_DEGREE = DEGREES[-1][0][0]
 
 _polynomial_gradients = Kernel(
     "polynomial_gradients",

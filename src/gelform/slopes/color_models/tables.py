@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from gelform.arrays import Array, Floats, Map, Numbers, Slopes
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.image.view import pixel_positions
-from gelform.slopes.color_models.networks import blocks_of
+from gelform.slopes.color_models.networks import BLOCK_PX, blocks_of
 from gelform.slopes.color_models.seam import (
     HUBER_SLOPE,
     Samples,
@@ -274,7 +274,6 @@ def _deviation(
 
 NEIGHBORS = 16  # neighbors of a pixel: five times the unknowns of its line
 LEAST_CHANGE = 0.02  # a table spans at least this change either way
-CHUNK = 20_000  # pixels at a time, to limit memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,8 +325,8 @@ class InterpolationModel(Stored, Untuned):
         color = np.asarray(color_change, dtype=np.float64)
         where = self._features(color, x_px, y_px)
         gradients, sigma = np.empty((len(color), 2)), np.empty((len(color), 2))
-        for start in range(0, len(color), CHUNK):
-            part = slice(start, start + CHUNK)
+        for start in range(0, len(color), BLOCK_PX):
+            part = slice(start, start + BLOCK_PX)
             gradients[part], sigma[part] = self._local(color[part], where[part])
         return gradients, sigma
 
