@@ -151,7 +151,7 @@ def _frozen(value: Any) -> Any:
 
 
 RATE_HZ = 60.0  # frames a second
-IMAGE_RATE_HZ = 30.0  # images shown per second
+IMAGE_RATE_HZ = RATE_HZ / 2  # each image is shown twice
 REST_IMAGES = 12  # images of the gel at rest before each object
 BALL = Ball(2.5)  # mm, radius of the ball that rolls
 ROLL_STEPS = 48  # images of one roll

@@ -32,8 +32,8 @@ from gelform.sensors import Source, settings_mismatch
 
 STEP_S, MEAN_S = 1.0, 3.0  # s: interval of the light's fits, and averaging time of the blocks for them
 MEAN_IMAGE_S = 10.0  # s over which frames are averaged before they wait
-BEFORE_S, AFTER_S = 30.0, 60.0  # s before and after a mean image in which nothing may touch
-FOLLOW_S = 60.0  # s, time constant of adding mean images
+# S before and after a mean image in which nothing may touch; it is added as slowly as the latter.
+BEFORE_S, AFTER_S = 30.0, 60.0
 LEAST_FREE = 0.9  # fraction of the blocks that must be free of contact to fit the light, which the gel's halo resembles
 NO_MEASURE = {"beyond_gel", "dark", "exposure_unknown", "frozen", "saturated", "torn"}
 DIFFERENT = {"background_differs", "few_untouched", "not_this_gel"}  # contact all over, or another gel
@@ -238,7 +238,7 @@ class BackgroundDrift:
             free = self.touched.not_since(waited.start_s - BEFORE_S).astype(np.float32)
             fraction = cv2.resize(free, self._local.shape[1::-1], interpolation=cv2.INTER_LINEAR)
             span_s = waited.end_s - waited.start_s
-            fraction *= np.float32(-np.expm1(-span_s / FOLLOW_S))
+            fraction *= np.float32(-np.expm1(-span_s / AFTER_S))
             image = waited.image.astype(np.float32) * np.float32(1 / PER_GRAY_LEVEL)
             self._local += fraction[..., None] * (image - self._local)
             self._local_blocks = block_means(self._local)
@@ -396,10 +396,10 @@ def _kind(mine: Mask, change: Map, area: int) -> tuple[str, float]:
 MOVED_PX, TURNED_DEG = 0.5, 0.2  # least motion of a camera that moved
 MOVED_SIGMAS = 4.0  # standard deviations of the registration that the motion must exceed
 FINE_PX, COARSE_PX = 0.8, 2.0  # px, blur widths between which the texture lies
-MARGIN_PX = 12  # px at the border that a blur distorts
-# Correlation of the texture: least expected one, least fraction of it for the same gel, and the limit of that product.
-# The fraction is small because a touch adds its own texture.
-LEAST_EXPECTED, SAME_FRACTION, SAME_GEL = 0.08, 0.4, 0.07
+MARGIN_PX = round(3 * 2 * COARSE_PX)  # px at the border, three deviations of the widest blur
+# Correlation of the texture: the least that is more than none, and the least fraction of the expected one for the same gel,
+# which is small because a touch adds its own texture.
+LEAST_ALIKE, SAME_FRACTION = 0.08, 0.4
 PATTERN = 0.02  # fraction of the brightness, not explained by smooth light: median over blocks
 MOSTLY_DIFFERENT, GEL_STAYS = 0.9, 3  # fraction of the frames of about ten seconds; consecutive times
 OTHER_STAYS = 2  # consecutive times: a step of the light is not followed at once
@@ -468,7 +468,7 @@ class SameGel:
         stays = _correlation(now[free], before[free])
         expected = stays * float(np.std(now[free])) / max(float(np.std(self._start[free])), 1e-9)
         found = _correlation(now[free], self._start[free])
-        if expected < LEAST_EXPECTED or found > min(SAME_FRACTION * expected, SAME_GEL):
+        if expected < LEAST_ALIKE or found > min(SAME_FRACTION * expected, LEAST_ALIKE):
             return ()
         said = f"The fine texture correlates with the calibration's by {found:.2f}, expected {min(expected, 1.0):.2f}"
         return _other_gel(said, found)
@@ -484,7 +484,7 @@ def _texture(image: Map) -> Map:
     logs = np.log(image.mean(axis=-1) + 10)
     fine = cv2.GaussianBlur(logs, (0, 0), FINE_PX) - cv2.GaussianBlur(logs, (0, 0), COARSE_PX)
     fine -= cv2.GaussianBlur(fine, (0, 0), 2 * COARSE_PX)  # curved shading is no texture
-    limit = 6 * float(robust_sigma(fine))  # for a single speck of dust
+    limit = MARK_SIGMAS * float(robust_sigma(fine))  # for a single speck of dust
     return np.asarray(np.clip(fine, -limit, limit), dtype=np.float32)
 
 
