@@ -24,7 +24,7 @@ static inline double within(double x, double limit) { return x > limit ? limit :
 // is shorter than a thousandth of a pixel. Beyond `held` of the radius the slopes of the ball are held.
 EXPORT int ball_center(const double *gradients, const double *x, const double *y, double *center, double radius, double scale,
                        double held, int64_t rounds, ptrdiff_t n) {
-  const double per_radius = 1 / radius, per_scale = 1 / (scale * scale), least = 1 - held * held, tiny = 1e-12;
+  const double per_radius = 1 / radius, per_scale = 1 / (scale * scale), least = 1 - held * held, most = 0.2 * radius, tiny = 1e-12;
   for (int64_t round = 0; round < rounds; round++) {
     struct normal sum = {tiny, 0, tiny, 0, 0};
     for (ptrdiff_t k = 0; k < n; k++) {
@@ -34,8 +34,7 @@ EXPORT int ball_center(const double *gradients, const double *x, const double *y
     }
     const double determinant = sum.xx * sum.yy - sum.xy * sum.xy;
     const double right = (sum.yy * sum.x - sum.xy * sum.y) / determinant, down = (sum.xx * sum.y - sum.xy * sum.x) / determinant;
-    center[0] += within(right, 0.2 * radius);
-    center[1] += within(down, 0.2 * radius);
+    center[0] += within(right, most), center[1] += within(down, most);
     if (sqrt(right * right + down * down) < 1e-3) break;
   }
   return OK;
