@@ -289,10 +289,8 @@ def layer_of(
         pixel = surface.pixels_at(there)
         there[..., 2] = _sampled(surface.depth, pixel)
         there[..., :2] += (place - moved(back, there)[..., :2]) @ turn[:2, :2].T
-    slopes, variances = (
-        _sampled(surface.gradients, pixel),
-        _sampled(surface.variances, pixel).astype(np.float64),
-    )
+    slopes = _sampled(surface.gradients, pixel)
+    variances = _sampled(surface.variances, pixel).astype(np.float64)
     touched = cv2.copyMakeBorder(surface.contact.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     inward_px = _sampled(cv2.distanceTransform(touched, cv2.DIST_L2, 3)[1:-1, 1:-1], pixel)
     share = np.where(inward_px > 0.5, np.minimum(inward_px / BLOCK_PX, 1), 0)

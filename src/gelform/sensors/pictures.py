@@ -195,11 +195,8 @@ def _tiff_tags(content: bytes | bytearray) -> dict[int, tuple[int, int]]:
 
 def _tiff_sizes(big: bool) -> tuple[int, int]:
     """Bytes of an entry (tag, kind, count, value) and of the number of entries before the first, classic or BigTIFF."""
-    return (
-        (struct.calcsize("=HHQQ"), struct.calcsize("=Q"))
-        if big
-        else (struct.calcsize("=HHII"), struct.calcsize("=H"))
-    )
+    entry, number = ("=HHQQ", "=Q") if big else ("=HHII", "=H")
+    return struct.calcsize(entry), struct.calcsize(number)
 
 
 def tiff_pages(file: BinaryIO, most: int = MAX_PAGES) -> tuple[int, ...]:
@@ -284,9 +281,7 @@ def _refused_kind(content: bytes | bytearray, alone: bool) -> str | None:
     """The key of `REFUSED` that a picture's header shows, or None; ValueError, struct.error, IndexError: it is damaged."""
     if content.startswith(PNG):
         kinds = {0: "gray", 3: "palette", 4: "gray"}  # PNG specification, 11.2.2
-        animated = (
-            content.find(b"acTL", 0, content.find(b"IDAT")) > 0
-        )  # before the pixels, which are not searched
+        animated = content.find(b"acTL", 0, content.find(b"IDAT")) > 0  # the pixels are not searched
         return "several" if animated else kinds.get(content[25])
     if content.startswith(JPEG):
         space = simplejpeg.decode_jpeg_header(bytes(content))[2]
@@ -307,14 +302,11 @@ def _refused_kind(content: bytes | bytearray, alone: bool) -> str | None:
 
 def _decoded(content: bytes | bytearray, name: str, hint: str) -> Image:
     """The pixels of what OpenCV reads of the kinds that `image_from_bytes` takes."""
-    pixels, starts = (
-        None,
-        (PNG, JPEG, b"BM", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"RIFF", b"P6", b"P3", b"P5", b"P2"),
-    )
+    pixels = None
+    starts = (PNG, JPEG, b"BM", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"RIFF", b"P6", b"P3", b"P5", b"P2")
     if content.startswith(starts):
-        if content.startswith((b"II", b"MM")) and (
-            place := _tiff_tags(content).get(274)
-        ):  # how it should be turned
+        # How it should be turned.
+        if content.startswith((b"II", b"MM")) and (place := _tiff_tags(content).get(274)):
             content = bytearray(content)
             struct.pack_into("<H" if content.startswith(b"II") else ">H", content, place[1], 1)
         try:

@@ -35,7 +35,7 @@ from gelform.image.view import as_levels
 # Range of a present dot's strength, and of its width, over those at rest: turned away it is fainter, stretched stronger.
 STRENGTH = (0.3, 2.2)
 LAST_STEP_PX = 0.1  # the largest last step of a valid fit
-STEPS, SURE_PX = 8, 0.01  # at most; px, no place is known better: a smaller step is the last
+STEPS, END_PX = 8, 0.01  # at most; px, no place is known better: so small a step ends a search
 LIGHT = 6  # columns of quadratic light; then the dot, and from SHIFT on its derivatives (2), their products with u (4)
 SHIFT = LIGHT + 1
 
@@ -125,7 +125,7 @@ class MarkerPatches:
             warp = warp @ np.linalg.inv(np.eye(2) + change)  # never singular, as changes are small
             shift = shift - warp @ step
             last = float(np.linalg.norm(step) + self.radius_px * np.abs(change).max())
-            if last < SURE_PX or not _is_of_rubber(warp):
+            if last < END_PX or not _is_of_rubber(warp):
                 break
         left = float(np.sum((evidence - columns @ fit) ** 2))
         light, dot = columns[:, :LIGHT], columns[:, LIGHT]
@@ -365,13 +365,10 @@ def is_grid(centers_px: Array) -> bool:
 
 
 def _dots(
-    darkness: Map, threshold: float, most: float, least: float = 0.0
+    darkness: Map, level: float, most: float, least: float = 0
 ) -> tuple[Numbers, NDArray[np.int32], Mask]:
-    """Areas of compact dark components, a map of their numbers from 1 (0: none), and whether each is whole.
-
-    `most` px is the largest area, `least` the smallest of a whole one.
-    """
-    count, labels, stats, _ = cv2.connectedComponentsWithStats((darkness > threshold).astype(np.uint8))
+    """Areas of compact dark components (`least` px if whole, to `most`), a map of their numbers from 1, and who is whole."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((darkness > level).astype(np.uint8))
     height, width = darkness.shape
     left, top, wide, high, areas = (stats[1:, k].astype(np.float64) for k in range(5))
     whole = (left > 0) & (top > 0) & (left + wide < width) & (top + high < height)

@@ -17,13 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelform.arrays import Array, Floats, Map, Mask, Numbers
 from gelform.foundations.checks import check_image, check_mm_per_px
-from gelform.image.markers.finder import (
-    SURE_PX,
-    CandidateFinder,
-    MarkerFinder,
-    MarkerPatches,
-    logs_from_image,
-)
+from gelform.image.markers.finder import END_PX, CandidateFinder, MarkerFinder, MarkerPatches, logs_from_image
 
 _SHAPES = {"rest_px": (2,), "now_px": (2,), "seen": (), "sigma_px": ()}
 
@@ -195,7 +189,7 @@ class MarkerFollower:
         expected = np.zeros((len(self), 2)) if start_px is None else np.asarray(start_px, dtype=np.float64)
         shift, seen, sigma = self._resolved(logs_from_image(image), expected)
         # A fit's residual is no white noise; both numbers were measured on simulated shear.
-        sigma = np.hypot(1.5 * sigma, SURE_PX).astype(np.float32)
+        sigma = np.hypot(1.5 * sigma, END_PX).astype(np.float32)
         sigma[~seen] = 0.2 * self.spacing_px
         now = (self.rest_px + shift).astype(np.float32)
         return MarkerFlow(self.rest_px, now, seen, sigma, self.mm_per_px)
