@@ -161,6 +161,10 @@ def shown(figures: dict[str, Any]) -> str:
         ),
         ("four", "everything: two threads over one", "1.8", ("everything", "alone", "two_over_one")),
         ("four", "depth_only: two threads over one", "1.8", ("depth_only", "alone", "two_over_one")),
+        *(
+            ("four", f"{part}: two processes over one", "-", (part, "alone", "two_processes_over_one"))
+            for part in ("everything", "depth_only")
+        ),
         ("soak", "memory growth an hour, MB", "20", ("growth_mb_per_hour",)),
     )
     rows = []

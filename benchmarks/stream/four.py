@@ -195,7 +195,7 @@ def page(path: Path, sensor: Any, rate_hz: float, seconds: float) -> dict[str, A
 def as_fast_as_they_come(
     calibration: gelform.Calibration, films: list[list[np.ndarray]], maps: Any
 ) -> dict[str, float]:
-    """Frames per second of one thread, and of two beside each other: the ratio of this run and machine."""
+    """Frames per second of one thread, of two beside each other, and of two processes: what this machine gives to either."""
     reconstruct = gelform.Reconstructor(calibration)
 
     def work(film: list[np.ndarray]) -> None:
@@ -205,20 +205,25 @@ def as_fast_as_they_come(
                 getattr(result, name)
 
     work(films[0][:1])
-    rates = {"one": [], "two": []}
+    beside = {"thread": threading.Thread, "process": multiprocessing.get_context("fork").Process}
+    rates: dict[str, list[float]] = {name: [] for name in ("one", *beside)}
     for _ in range(3):  # in turn, because the machine's other work changes
         rates["one"].append(ALONE_FRAMES / timed(lambda: work(films[0])))
-        threads = [threading.Thread(target=work, args=(film,)) for film in films[:2]]
-        rates["two"].append(2 * ALONE_FRAMES / timed(partial(in_threads, threads)))
-    one, two = (max(rates[name]) for name in ("one", "two"))
-    return {"one_thread_per_s": one, "two_threads_per_s": two, "two_over_one": two / one}
+        for name, kind in beside.items():
+            both = [kind(target=work, args=(film,)) for film in films[:2]]
+            rates[name].append(2 * ALONE_FRAMES / timed(partial(run_together, both)))
+    one, threads, processes = (max(of) for of in rates.values())
+    return {
+        "one_thread_per_s": one, "two_threads_per_s": threads, "two_over_one": threads / one,
+        "two_processes_per_s": processes, "two_processes_over_one": processes / one,
+    }  # fmt: skip
 
 
-def in_threads(threads: list[threading.Thread]) -> None:
-    """Run threads to their end."""
-    for one in threads:
+def run_together(both: list[Any]) -> None:
+    """Run threads or processes to their end."""
+    for one in both:
         one.start()
-    for one in threads:
+    for one in both:
         one.join()
 
 
