@@ -121,9 +121,12 @@ def test_the_kernel_agrees_with_numpy(shape, degree):
     arguments = kernel_arguments(shape, degree)
     assert_kernel_agrees(
         polynomial._hierarchical_gradients,
-        lambda change, nodes, parents, work, out: slopes(change, nodes, degree),
-        *arguments,
-    )
+        lambda change, nodes, parents, work, out, most: slopes(change, nodes, degree),
+        *arguments, 1.0,
+    )  # fmt: skip
+    steepest = np.abs(slopes(*arguments[:2], degree)).max()
+    for most, beyond in ((0.999 * steepest, 1), (1.001 * steepest, 0)):
+        assert polynomial._hierarchical_gradients(*arguments, most) == beyond
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
@@ -138,7 +141,7 @@ def test_one_pass_gives_what_two_give(dtype):
     assert_kernel_agrees(
         polynomial._hierarchical_from_image,
         lambda *_: (two, slopes(two, nodes, 3)),
-        *pending.arguments, nodes, parents, np.empty(work.size + pending.work_size, np.float32), two.copy(), out,
+        *pending.arguments, nodes, parents, np.empty(work.size + pending.work_size, np.float32), two.copy(), out, 1.0,
     )  # fmt: skip
     ready = HierarchicalModel(nodes.astype(float), 3, shape).prepare(rest, shape)
     change = np.empty((*shape, 3), np.float32)

@@ -22,7 +22,7 @@ import numpy as np
 
 from gelform._native import Kernel
 from gelform.arrays import Array, Map, Numbers, Slopes
-from gelform.foundations.checks import HIGHEST_SLOPE, check_within, value_range
+from gelform.foundations.checks import HIGHEST_SLOPE, check_within
 from gelform.foundations.filters import CHANGE_OFFSET
 from gelform.image.background import PendingChange
 from gelform.slopes.color_models.seam import (
@@ -149,12 +149,12 @@ RIDGES = (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)  # ridges that calibration tries, 
 
 _hierarchical_gradients = Kernel(
     "hierarchical_gradients",
-    "f32[h,w,3] change, f32[r,c,t,2] nodes, i32[t,2] parents, out f32[n] work, out f32[h,w,2] gradients",
+    "f32[h,w,3] change, f32[r,c,t,2] nodes, i32[t,2] parents, out f32[n] work, out f32[h,w,2] gradients, f32 most",
 )
 _hierarchical_from_image = Kernel(
     "hierarchical_from_image",
     "u8[h,w,3]? image, f32[h,w,3]? light, f32[s] scale, f32[h,w,3] untouched, f32[h,w,3] gain, f32[k] taps, "
-    "f32[r,c,t,2] nodes, i32[t,2] parents, out f32[n] work, out f32[h,w,3] change, out f32[h,w,2] gradients",
+    "f32[r,c,t,2] nodes, i32[t,2] parents, out f32[n] work, out f32[h,w,3] change, out f32[h,w,2] gradients, f32 most",
 )
 
 
@@ -254,9 +254,6 @@ class HierarchicalModel(Stored):
 
 def bounded(gradients: Array, steepest: float) -> Map | None:
     """Shorten gradients (..., 2) to a size, in place; returns what was cut off, (..., 2) for both components, or None."""
-    low, high = value_range(gradients)
-    if max(high, -low) <= steepest / 2**0.5:  # nearly always
-        return None
     square = np.einsum("...c,...c->...", gradients, gradients)
     if square.max() <= steepest**2:
         return None
@@ -296,6 +293,9 @@ class PreparedHierarchical:
     def __init__(self, model: HierarchicalModel) -> None:
         self._nodes, self._steepest = np.ascontiguousarray(model.nodes, dtype=np.float32), model.steepest
         self._parents = monomial_parents(monomials(3, model.degree))
+        self._small = (
+            model.steepest / 2**0.5
+        )  # nearly always no component exceeds it, so that no slope is too steep
         _, columns, terms, _ = self._nodes.shape
         self._work_size = 2 * columns * terms + 4 * terms + 3 * -(-model.shape[1] // NODE_PX) * NODE_PX
 
@@ -303,12 +303,16 @@ class PreparedHierarchical:
         """Gradients (H, W, 2) of a color change (H, W, 3), and the deviation of bounded ones, or None."""
         gradients = np.empty((*color_change.shape[:2], 2), dtype=np.float32)
         work = np.empty(self._work_size, dtype=np.float32)
-        _hierarchical_gradients(color_change, self._nodes, self._parents, work, gradients)
-        return gradients, bounded(gradients, self._steepest)
+        beyond = _hierarchical_gradients(
+            color_change, self._nodes, self._parents, work, gradients, self._small
+        )
+        return gradients, bounded(gradients, self._steepest) if beyond else None
 
     def gradients_in_one_pass(self, pending: PendingChange, out: Map) -> tuple[Slopes, Slopes | None]:
         """The same of an image, whose color change is computed in the same pass and written to `out` (H, W, 3)."""
         gradients = np.empty((*out.shape[:2], 2), dtype=np.float32)
         work = np.empty(pending.work_size + self._work_size, dtype=np.float32)
-        _hierarchical_from_image(*pending.arguments, self._nodes, self._parents, work, out, gradients)
-        return gradients, bounded(gradients, self._steepest)
+        beyond = _hierarchical_from_image(
+            *pending.arguments, self._nodes, self._parents, work, out, gradients, self._small
+        )
+        return gradients, bounded(gradients, self._steepest) if beyond else None
