@@ -3,6 +3,8 @@
 #define GELFORM_BILINEAR_H
 #include "common.h"
 
+enum { USUAL = 4 };  // small pixels along a large one in most images: loops over as many are vectors, which the compiler knows
+
 // Between which two of `from` values small pixel `at` lies, whose width is `step` of theirs; how far from the first.
 static inline ptrdiff_t between(ptrdiff_t at, double step, ptrdiff_t from, float *fraction) {
   const double place = ((double)at + 0.5) * step - 0.5;

@@ -28,8 +28,6 @@ static inline void add_row(const float *restrict row, float *restrict sums, floa
   for (ptrdiff_t i = 0; i < n; i++) sums[i] += weight * row[i];
 }
 
-enum { USUAL = 4 };  // pixels of a cell's side in most images: known to the compiler, they are vectors
-
 // A row of cells from the sums of its rows of pixels. `even`: each has USUAL whole columns.
 static inline void cells_of_row(const struct part *restrict parts, bool even, const float *restrict sums, const float *restrict area,
                                 float whole, float *restrict means, float *restrict shares, ptrdiff_t k, ptrdiff_t c) {

@@ -1,4 +1,5 @@
 // What the errors of a frame's depth follow from, as means over the cells of a coarse grid, in one pass over the solved slopes.
+#include "../bilinear.h"
 #include "../select.h"
 #include "contact/runs.h"
 
@@ -36,8 +37,6 @@ static inline void add_row(const struct numbers *restrict n, const float *restri
     steep_p[x] += missing * p, steep_q[x] += missing * q;
   }
 }
-
-enum { USUAL = 4 };  // columns of a cell in most images: known to the compiler, they are vectors
 
 // A row of cells from the sums of its rows of pixels; `each`: how many columns every cell has, 0 if not all have as many.
 static inline void means_of_row(const float *restrict sums, const int32_t *restrict columns, ptrdiff_t each, ptrdiff_t rows,

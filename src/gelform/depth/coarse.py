@@ -115,10 +115,8 @@ class RestAnchor:
         self._coarse = coarse = coarse_of(shape)
         rows, columns = coarse.shape
         # An enclosed region farther than 0.02 mm off rest is a face; slope errors tilt a face of a few mm by less.
-        self._face_px, self._per_reach = (
-            0.02 / mm_per_px,
-            np.float32(mm_per_px * sum(coarse.pitch_px) / 2 / REACH_MM),
-        )
+        self._face_px = 0.02 / mm_per_px
+        self._per_reach = np.float32(mm_per_px * sum(coarse.pitch_px) / 2 / REACH_MM)
         # Five floats for a run of pixels and four for its region, as in native/depth/anchor/hold.c.
         of_hold = (5 + 4) * rows * ((columns + 1) // 2) + 5 * rows * columns
         most = max(5 * shape[1] + rows * columns, of_hold, (rows + 2) * (columns + 2) + rows * columns)

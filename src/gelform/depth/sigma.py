@@ -103,7 +103,8 @@ class DepthSigma:
 
 
 Purpose = Literal["stated", "contact", "outline", "valley"]
-PURPOSES = "valley", "", "", "stated", "contact", "outline", ""  # of the maps of `depth_variances`
+# The maps of `depth_variances`.
+VARIANCES = "valley", "own", "single", "stated", "contact", "outline", "deepest"
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +128,7 @@ class DepthErrors:
         common = np.float32(self.gain_sigma) * self.means[0]
         if self.is_steep:
             common += self._integrated(self.means[1:3])
-        variances = np.empty((len(PURPOSES), *common.shape), dtype=np.float32)
+        variances = np.empty((len(VARIANCES), *common.shape), dtype=np.float32)
         _depth_variances(
             common, self.means[5], self.filtered, self.border, *_at_rest(common), variances, self.own_of_frame,
             self.usual_of_frame, PULL, LEAST_FREE, 1e-14,  # mm^2; the filter rounds
@@ -160,22 +161,25 @@ class DepthErrors:
     @property
     def spread(self) -> Map:
         """Variance (r, c) by the slopes, mm^2."""
-        return self._on_grid[1][0]
+        return self._variance("valley")
 
     @property
     def own(self) -> Map:
         """Twice the mean square (r, c) of negative depths around, mm^2."""
-        return self._on_grid[1][1]
+        return self._variance("own")
 
     @property
     def coarse_variance(self) -> Map:
         """Variance (r, c) by both, without what is common."""
-        return self._on_grid[1][2]
+        return self._variance("single")
 
     @property
     def of_contacts(self) -> Map:
         """Those (3, r, c) of "contact", "outline", and the deepest contact, whose reaction valleys beside it may be."""
-        return self._on_grid[1][PURPOSES.index("contact") :]
+        return self._on_grid[1][VARIANCES.index("contact") :]
+
+    def _variance(self, name: str) -> Map:
+        return self._on_grid[1][VARIANCES.index(name)]
 
     def sigma(self, most_mm: float, purpose: Purpose = "stated", lost: Mask | None = None) -> Map:
         """Standard deviation (H, W) of the depth, mm, `most_mm` at most and at lost pixels (H, W), for a purpose.
@@ -188,8 +192,7 @@ class DepthErrors:
         - outline: where a contact ends: by negative depths alone, those around each pixel too
         - valley: whether a valley is a touch in the background: by the slopes alone, as if negative depths were no error
         """
-        variances = dict(zip(PURPOSES, self._on_grid[1]))
-        return self.coarse.root_at_pixels(variances[purpose], most_mm, lost)
+        return self.coarse.root_at_pixels(self._variance(purpose), most_mm, lost)
 
     def _integrated(self, slopes: Map) -> Map:
         """Depth, mm, of slopes (2, r, c)."""

@@ -32,8 +32,7 @@ from gelform.sensors import Source, settings_mismatch
 
 STEP_S, MEAN_S = 1.0, 3.0  # s: interval of the light's fits, and averaging time of the blocks for them
 MEAN_IMAGE_S = 10.0  # s over which frames are averaged before they wait
-# S before and after a mean image in which nothing may touch; it is added as slowly as the latter.
-BEFORE_S, AFTER_S = 30.0, 60.0
+BEFORE_S, AFTER_S = 30.0, 60.0  # s without touch around a mean image; AFTER_S is its time constant, too
 LEAST_FREE = 0.9  # fraction of the blocks that must be free of contact to fit the light, which the gel's halo resembles
 NO_MEASURE = {"beyond_gel", "dark", "exposure_unknown", "frozen", "saturated", "torn"}
 DIFFERENT = {"background_differs", "few_untouched", "not_this_gel"}  # contact all over, or another gel

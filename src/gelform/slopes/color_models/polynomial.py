@@ -293,9 +293,8 @@ class PreparedHierarchical:
     def __init__(self, model: HierarchicalModel) -> None:
         self._nodes, self._steepest = np.ascontiguousarray(model.nodes, dtype=np.float32), model.steepest
         self._parents = monomial_parents(monomials(3, model.degree))
-        self._small = (
-            model.steepest / 2**0.5
-        )  # nearly always no component exceeds it, so that no slope is too steep
+        # Nearly always no component exceeds it, so that no slope is too steep.
+        self._small = model.steepest / 2**0.5
         _, columns, terms, _ = self._nodes.shape
         self._work_size = 2 * columns * terms + 4 * terms + 3 * -(-model.shape[1] // NODE_PX) * NODE_PX
 
