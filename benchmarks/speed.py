@@ -4,6 +4,7 @@
     python benchmarks/speed.py --against REF     # the same frames by a commit and by this checkout, in turn; two minutes
 
     python benchmarks/speed.py --large           # images of 2464x3280 px alone: time and memory; two minutes
+    python benchmarks/speed.py --calls           # kernel calls of a frame, and their share of its time; half a minute
 
 Machines are shared and noisy: times are of the processor, and ratios to D, a bare float32 scipy dctn + idctn pair of the
 same size that is measured alternately with the stages in the same run, are to be trusted. Writes results/speed.json.
@@ -43,6 +44,7 @@ from gelform.slopes.budget import ReadSlopes
 from presses import DATA, by_name, unlabeled
 from report import dct_pair, median_ms, recorded, table, write, write_part
 from speed.against import compare
+from speed.calls import kernel_calls
 from speed.large import measured as large_images
 from speed.turns import EVERYTHING as WHOLE
 from speed.turns import first_frame_ms, read
@@ -160,6 +162,7 @@ def main() -> None:
         "--against", metavar="REF", help="compare with a commit; --quick: whole frames alone, one"
     )
     parser.add_argument("--large", action="store_true", help="images of 2464x3280 px alone")
+    parser.add_argument("--calls", action="store_true", help="kernel calls of a frame and their share alone")
     asked = parser.parse_args()
     if asked.against:
         against(asked.against, asked.quick)
@@ -170,6 +173,14 @@ def main() -> None:
             large = large_images(Path(folder))
         print(large)
         write_part("speed", "large", large)
+        return
+    if asked.calls:
+        calls = {"240x320": kernel_calls(*calibration_at(SIZES[0]))}
+        if (DATA / "mini-ball").is_dir():
+            presses = gelform.read_presses(DATA / "mini-ball")
+            calls["mini-ball"] = kernel_calls(gelform.calibrate(presses), shown_press(presses))
+        print(calls)
+        write_part("speed", "calls", calls)
         return
     figures: dict[str, Any] = {}
     others: dict[str, Any] = {}
@@ -198,7 +209,7 @@ def main() -> None:
     faster = (f"{name}: {times:.1f} times faster" for name, times in over.items())
     print(f"gs_sdk's get_surface_info: {peer} D; {', '.join(faster)}\n{others}")
     if not asked.quick:
-        kept = {name: one for name, one in recorded("speed").items() if name == "large"}
+        kept = {name: one for name, one in recorded("speed").items() if name in ("large", "calls")}
         write("speed", {**kept, "sizes": figures, "times_faster_than_gs_sdk": over, **others})
 
 
